@@ -151,6 +151,12 @@ def test_an_error_that_does_not_fall_is_not_reported_as_falling() -> None:
     )
 
 
+def test_a_random_walk_is_said_to_be_unpredictable_where_it_does_not_help() -> None:
+    walks = replace(lag(0.9), form="random walk")
+    text = paragraph(decided("partly_explained", walks), [ERRORS[0], ERRORS[1], ERRORS[0]], NOISE, NEXT)
+    assert "the error is 50 nm with it, as no stage can predict a random walk." in text
+
+
 def test_the_report_states_size_and_location_of_the_remaining_residual() -> None:
     text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, ("620 Hz", "the first 2 s"))
     assert "20 % of the squared residual remains unexplained" in text

@@ -49,6 +49,7 @@ from torchpi.diagnosis.simulation import (
     with_untried,
 )
 from torchpi.diagnosis.stick_slip import free_run, without_rests
+from torchpi.diagnosis.wandering_gain import with_wandering_gain
 from torchpi.diagnosis.wrong_readings import of_dropouts
 from torchpi.errors import RecordingError
 from torchpi.recordings.recording import Recording
@@ -56,6 +57,7 @@ from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.identified import Identified
 
 UNCERTAIN = 0.9
@@ -134,6 +136,10 @@ def diagnose(
     wrong = readings.wrong(chain.records, final)
     if any(map(len, wrong)):
         decision = with_read_off(decision, of_dropouts(chain.records, wrong, final))
+    wandered = list[np.ndarray]()
+    if GainModulation in tried and decision.verdict not in CLOSED and not search.slips:
+        log("gain: whether what is left is a gain that wanders")
+        decision, wandered = with_wandering_gain(decision, chain.records, final, noise)
     alike = untested(chain.records, what)
     across: tuple[AcrossRecordings, ...] = ()
     another_um: float | None = None
@@ -164,6 +170,7 @@ def diagnose(
     )
     stage.identified = Identified.of(recordings, HELD_OUT, errors[2].heldout_rms_um, errors[2].heldout_max_um)
     traces = traces_of(readings.recordings, chain.records, retuned, augmented, final, search.chain, decision)
+    traces = tuple(with_gain(*each) for each in zip(traces, wandered, strict=True)) if wandered else traces
     log("locate: where the residual lives")
     where = locate(from_settled(traces, search.unsettled), floor_um)
     next_one, excitation = next_recording(
@@ -320,6 +327,11 @@ def traces_of(
             )
         )
     return tuple(traces)
+
+
+def with_gain(trace: Trace, adds_um: np.ndarray) -> Trace:
+    """The recording with what a wandering gain adds to it, (time,), µm."""
+    return replace(trace, signatures={**trace.signatures, GainModulation.name: adds_um})
 
 
 def from_settled(traces: Sequence[Trace], unsettled: Sequence[int]) -> list[Trace]:

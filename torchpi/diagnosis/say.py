@@ -28,6 +28,8 @@ ARTICLES = {
     **dict.fromkeys(("sensor_lag", "sensor_nonlinearity", "slew_limit"), "a"),
 }
 """Articles of the effects whose names are countable: a resonance, but creep."""
+WALK = "random walk"
+"""Form of an effect that nothing predicts."""
 KNOT = "knot"
 """Prefix of the parameter names of a random walk."""
 WRONG, MENTIONED = 1.5, 3
@@ -97,10 +99,12 @@ def paragraph(
     if decision.effects:
         left = nm(augmented.heldout_rms_um)
         falls = augmented.heldout_rms_um < retuned.heldout_rms_um
+        walks = any(effect.form == WALK for effect in decision.effects)
         parts.append(
             f"With this included, the error falls to {left}."
             if falls
-            else f"On the held-out samples this brings no improvement: the error is {left} with it."
+            else f"On the held-out samples this brings no improvement: the error is {left} with it"
+            f"{', as no stage can predict a random walk' if walks else ''}."
         )
     if untested and (decision.verdict in CLOSED or not decision.carries_over):
         parts.append(

@@ -1,0 +1,130 @@
+"""What counts as a gain that wanders, and what does not."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tests.diagnosis.plants import pair
+from torchpi.diagnosis.decide import Decision
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.wandering_gain import wandering_gain, with_wandering_gain
+
+TIME, NOISE_UM = 2000, 0.01
+GAIN = 0.01
+"""Rms of a walk of the gain."""
+
+Residual = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+
+
+def motions() -> list[np.ndarray]:
+    """(time,), µm: a chirp, and steps of random size."""
+    t = np.arange(TIME) / TIME
+    steps = np.random.default_rng(1).uniform(0, 10, 40).repeat(TIME // 40)
+    return [5 - 5 * np.cos(2 * np.pi * (2 * t + 20 * t**2)), lfilter([0.3], [1, -0.7], steps)]
+
+
+def walk(rng: np.random.Generator) -> np.ndarray:
+    """(time,): a random walk that tends back to 0 within 100 samples, of rms 1, without its mean."""
+    found = lfilter([1], [1, -0.99], rng.normal(size=TIME))
+    return (found - found.mean()) / found.std()
+
+
+def left(of: Residual) -> tuple[list[SimpleNamespace], SimpleNamespace]:
+    """Return recordings, and a fit that leaves this function of their motion and noise."""
+    rng = np.random.default_rng(2)
+    residuals = [of(x, rng) + rng.normal(0, NOISE_UM, TIME) for x in motions()]
+    counts = np.ones(TIME, dtype=bool)
+    records = [
+        SimpleNamespace(y=x + e, train=counts, held_out=~counts)
+        for x, e in zip(motions(), residuals, strict=True)
+    ]
+    return records, SimpleNamespace(residuals=residuals)
+
+
+def of_a_gain(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return GAIN * walk(rng) * x
+
+
+def of_a_line_that_sweeps(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    t = np.arange(TIME) / TIME
+    return GAIN * np.sin(2 * np.pi * (2 * t + 4 * t**2) + rng.uniform(0, 6)) * x
+
+
+def of_an_added_walk(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return 0.05 * walk(rng)
+
+
+def of_a_gain_that_ages(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return GAIN * np.linspace(-1, 1, TIME) * x
+
+
+def of_a_gain_that_follows_the_motion(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return GAIN * (x - x.mean()) * x
+
+
+def of_a_mode(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return lfilter([0.05], [1, -1.8, 0.95], np.gradient(np.gradient(x)))
+
+
+def of_a_lag(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return lfilter([0.5], [1, -0.5], x) - x
+
+
+def of_noise(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return np.zeros(TIME)
+
+
+@pytest.mark.parametrize("of", [of_a_gain, of_a_line_that_sweeps])
+def test_a_gain_of_any_course_is_found_with_its_size_and_what_it_adds(of: Residual) -> None:
+    records, fit = left(of)
+    effect, adds = wandering_gain(records, fit, NOISE_UM)
+    assert effect.probability > 0.9
+    assert effect.share > 0.8
+    assert effect.parameters[0].value == pytest.approx(GAIN, rel=0.3)
+    for added, e in zip(adds, fit.residuals, strict=True):
+        assert np.corrcoef(added, e)[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        of_an_added_walk,
+        of_a_gain_that_ages,
+        of_a_gain_that_follows_the_motion,
+        of_a_mode,
+        of_a_lag,
+        of_noise,
+    ],
+)
+@pytest.mark.parametrize("noise_um", [NOISE_UM, 0.0])
+def test_no_other_residual_is_one(of: Residual, noise_um: float) -> None:
+    assert wandering_gain(*left(of), noise_um)[0].probability < 0.1
+
+
+def test_it_explains_its_share_but_is_no_complete_explanation() -> None:
+    records, fit = left(of_a_gain)
+    before = Decision("unexplained", (), (), 0.8, 0.2, NOISE_UM)
+    found, adds = with_wandering_gain(before, records, fit, SimpleNamespace(rms_um=NOISE_UM))
+    assert found.verdict == "partly_explained"
+    assert [effect.name for effect in found.effects] == ["gain_modulation"]
+    assert found.effects[0].share + found.unexplained_share == pytest.approx(0.8)
+    assert len(adds) == len(records)
+
+
+def test_a_diagnosis_names_it_and_shows_what_it_adds() -> None:
+    rng = np.random.default_rng(3)
+    diagnosis = diagnose(pair(TIME, after=lambda x, fs_hz: x * (1 + GAIN * walk(rng))))
+    assert [effect.name for effect in diagnosis.effects] == ["gain_modulation"]
+    assert diagnosis.effects[0].form == "random walk"
+    for trace in diagnosis.traces:
+        assert np.corrcoef(trace.signatures["gain_modulation"], trace.residual_augmented)[0, 1] > 0.9
+
+
+def test_a_gain_that_is_named_already_is_not_named_twice() -> None:
+    records, fit = left(of_a_gain)
+    effect, _ = wandering_gain(records, fit, NOISE_UM)
+    before = Decision("partly_explained", (effect,), (), 0.1, 0.0, NOISE_UM)
+    assert with_wandering_gain(before, records, fit, None) == (before, [])
