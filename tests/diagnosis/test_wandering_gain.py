@@ -50,7 +50,7 @@ def of_a_gain(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def of_a_line_that_sweeps(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     t = np.arange(TIME) / TIME
-    return GAIN * np.sin(2 * np.pi * (2 * t + 4 * t**2) + rng.uniform(0, 6)) * x
+    return GAIN * np.sqrt(2) * np.sin(2 * np.pi * (2 * t + 4 * t**2) + rng.uniform(0, 6)) * x
 
 
 def of_an_added_walk(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -71,6 +71,10 @@ def of_a_mode(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def of_a_lag(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return lfilter([0.5], [1, -0.5], x) - x
+
+
+def of_a_lag_that_depends_on_the_position(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return of_a_lag(x, rng) * x / 10
 
 
 def of_noise(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -96,6 +100,7 @@ def test_a_gain_of_any_course_is_found_with_its_size_and_what_it_adds(of: Residu
         of_a_gain_that_follows_the_motion,
         of_a_mode,
         of_a_lag,
+        of_a_lag_that_depends_on_the_position,
         of_noise,
     ],
 )

@@ -27,7 +27,6 @@ from torchpi.diagnosis.long_recordings import means
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.posterior import trust
 from torchpi.diagnosis.records import Record
-from torchpi.diagnosis.score import gain
 from torchpi.diagnosis.sealed import mean_square
 from torchpi.operators.compiled import njit
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
@@ -35,7 +34,7 @@ from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 AT_MOST = 3000
 """Number of means of each recording from which a filter starts to cost more than it shows."""
 CELLS = 20
-"""Number of stretches of each recording over whose likelihoods a gain must be better than an added signal."""
+"""Number of stretches of each recording, of which the first determines the constants."""
 LAGS = 2 ** np.arange(6)
 """Samples back from which the motion may predict a residual."""
 DIFFUSE = 1e8
@@ -82,8 +81,7 @@ class Walks:
     """A model of what is left: a walk of the gain, of an added signal, or both."""
 
     nats: float
-    cells: np.ndarray
-    """(cells,): log densities."""
+    """Log density of the residual."""
     predicted: float
     """Share of the residual's mean square that it predicts one step ahead."""
     adds: tuple[np.ndarray, ...]
@@ -99,17 +97,16 @@ class Walks:
         counts = [one > 0 for one in variance]
         scaled = [v[n] ** 2 / s[n] for v, s, n in zip(error, variance, counts, strict=True)]
         of_noise = max(float(np.mean(np.concatenate(scaled))), noise)
-        nats = [np.zeros(len(n)) for n in counts]
-        for one, s, v, n in zip(nats, variance, scaled, counts, strict=True):
-            one[n] = -0.5 * (np.log(of_noise * s[n]) + v / of_noise)
-        cells = np.array([float(cell.sum()) for one in nats for cell in np.array_split(one, CELLS)])
+        nats = -0.5 * sum(
+            float(np.sum(np.log(of_noise * s[n]) + v / of_noise))
+            for s, v, n in zip(variance, scaled, counts, strict=True)
+        )
         missed, whole = (
             sum(float(np.sum(each[n] ** 2)) for each, n in zip(signal, counts, strict=True))
             for signal in (error, [one.e for one in left])
         )
         return cls(
-            float(cells.sum()),
-            cells,
+            nats,
             1.0 - missed / max(whole, 1e-300),
             tuple(np.where(n, one.e - v, 0.0) for one, v, n in zip(left, error, counts, strict=True)),
         )
@@ -173,10 +170,10 @@ def wandering_gain(
     added, log_added = Walks.best(left, noise, lambda s: (0.0, s[0]), alone)
     little = [[*log_gain, *(log_added + STARTS[0])], [*(log_gain + STARTS[0]), *log_added]]
     both, _ = Walks.best(left, noise, lambda s: (s[0], s[1]), little)
-    needs_gain, needs_added = (max(both.nats - one.nats, 0.0) for one in (added, of_gain))
+    needs_gain = max(both.nats - added.nats + PRIOR, 0.0)
+    needs_added = max(both.nats - of_gain.nats, 0.0)
     evidence = needs_gain / max(needs_gain + needs_added, 1e-300)
     share = max(of_gain.predicted, 0.0)
-    better = gain(of_gain.cells, added.cells, PRIOR).probability
     power, of_motion = (
         mean_square(np.concatenate(all_of)) for all_of in (of_gain.adds, [one.x for one in left])
     )
@@ -184,7 +181,7 @@ def wandering_gain(
         GainModulation.name,
         GainModulation.block,
         GainModulation.degenerate_with,
-        round(trust(share * evidence * of_no_motion(left)) * better, 4),
+        round(trust(share * evidence * of_no_motion(left)), 4),
         (Parameter("gain_rms", sqrt(power / of_motion), "", None),),
         share,
         "y = x [1 + g], g a random walk",
@@ -224,7 +221,8 @@ def filtered(
     added_step: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return, (time,) each, the variance of each prediction one step ahead over that of the noise, and its
-    error; the variance is 0 where nothing is predicted, as for the first readings, one for each state."""
+    error; the variance is 0 where nothing is predicted, as in the first stretch, which determines the
+    constants."""
     time, states = rows.shape
     relative, error = np.zeros(time), np.zeros(time)
     state, covariance = np.zeros(states), np.zeros((states, states))
@@ -241,7 +239,7 @@ def filtered(
         variance = 1.0 + np.sum(to_row * row)
         off = e[t] - np.sum(state * row)
         seen += 1
-        if seen > states:
+        if seen > max(states, time // CELLS):
             relative[t], error[t] = variance, off
         state += to_row * (off / variance)
         covariance -= np.outer(to_row, to_row) / variance
