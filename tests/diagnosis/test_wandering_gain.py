@@ -38,7 +38,7 @@ def left(of: Residual) -> tuple[list[SimpleNamespace], SimpleNamespace]:
     residuals = [of(x, rng) + rng.normal(0, NOISE_UM, TIME) for x in motions()]
     counts = np.ones(TIME, dtype=bool)
     records = [
-        SimpleNamespace(y=x + e, train=counts, held_out=~counts)
+        SimpleNamespace(y=x + e, train=counts, held_out=~counts, period_s=1e-3)
         for x, e in zip(motions(), residuals, strict=True)
     ]
     return records, SimpleNamespace(residuals=residuals)

@@ -57,6 +57,7 @@ class Left:
     """(time,): the displacement that the fit predicts."""
     rows: np.ndarray
     """(time, 2 + constants): what g, a and each c_j multiply."""
+    period_s: float
 
     @classmethod
     def of(cls, record: Record, residual: np.ndarray, span_um: float, factor: int) -> "Left":
@@ -73,7 +74,7 @@ class Left:
         along = np.linspace(-1.0, 1.0, len(x))
         of_gain = (np.ones_like(x), from_middle, amplitude, level, speed, along)
         rows = [x, np.ones_like(x), np.ones_like(x), *(from_middle * one for one in of_gain)]
-        return cls(e, x, np.stack(rows, axis=1))
+        return cls(e, x, np.stack(rows, axis=1), factor * record.period_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +91,14 @@ class Walks:
     @classmethod
     def of(cls, left: Sequence[Left], noise: float, gain_step: float, added_step: float) -> "Walks":
         """Return the model whose walks have steps of these variances, over that of the noise, which is at
-        least `noise`."""
-        variance, error = zip(
-            *(filtered(one.e, one.rows, gain_step, added_step) for one in left), strict=True
-        )
+        least `noise`; with several rates, the steps are those at the highest."""
+        shortest_s = min(one.period_s for one in left)
+        longer = [one.period_s / shortest_s for one in left]
+        found = [
+            filtered(one.e, one.rows, gain_step * steps, added_step * steps)
+            for one, steps in zip(left, longer, strict=True)
+        ]
+        variance, error = zip(*found, strict=True)
         counts = [one > 0 for one in variance]
         scaled = [v[n] ** 2 / s[n] for v, s, n in zip(error, variance, counts, strict=True)]
         of_noise = max(float(np.mean(np.concatenate(scaled))), noise)
@@ -112,8 +117,13 @@ class Walks:
         )
 
     @classmethod
-    def best(cls, left: Sequence[Left], noise: float, steps: Callable[[np.ndarray], tuple[float, float]],
-             starts: Sequence[Sequence[float]]) -> tuple["Walks", np.ndarray]:  # fmt: skip
+    def best(
+        cls,
+        left: Sequence[Left],
+        noise: float,
+        steps: Callable[[np.ndarray], tuple[float, float]],
+        starts: Sequence[Sequence[float]],
+    ) -> tuple["Walks", np.ndarray]:
         """Return the most likely model, and the logs that `steps` turns into its variances."""
         found = [
             minimize(
