@@ -77,6 +77,15 @@ def of_a_lag_that_depends_on_the_position(x: np.ndarray, rng: np.random.Generato
     return of_a_lag(x, rng) * x / 10
 
 
+def of_a_burst(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A gain that moves for an eighth of the time."""
+    return 10 * GAIN * walk(rng) * x * (np.abs(np.arange(TIME) / TIME - 0.4) < 1 / 16)
+
+
+def of_a_gain_within_the_noise(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return 0.15 * of_a_gain(x, rng)
+
+
 def of_noise(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.zeros(TIME)
 
@@ -101,6 +110,8 @@ def test_a_gain_of_any_course_is_found_with_its_size_and_what_it_adds(of: Residu
         of_a_mode,
         of_a_lag,
         of_a_lag_that_depends_on_the_position,
+        of_a_burst,
+        of_a_gain_within_the_noise,
         of_noise,
     ],
 )

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
-from torchpi.diagnosis.contest import PRIOR
+from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.decide import NAMED, Decision
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter
 from torchpi.diagnosis.hypothesis import Fit
@@ -27,6 +27,7 @@ from torchpi.diagnosis.long_recordings import means
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.posterior import trust
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.score import gain
 from torchpi.diagnosis.sealed import mean_square
 from torchpi.operators.compiled import njit
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
@@ -34,7 +35,8 @@ from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 AT_MOST = 3000
 """Number of means of each recording from which a filter starts to cost more than it shows."""
 CELLS = 20
-"""Number of stretches of each recording, of which the first determines the constants."""
+"""Number of stretches of each recording over which a gain must be better than an added signal; the first only
+determines the constants."""
 LAGS = 2 ** np.arange(6)
 """Samples back from which the motion may predict a residual."""
 DIFFUSE = 1e8
@@ -52,7 +54,7 @@ class Left:
     """What a fit leaves of one recording, in units of the travel."""
 
     e: np.ndarray
-    """(time,): the residual, NaN where readings do not count."""
+    """(time,): the residual, NaN where it does not count."""
     x: np.ndarray
     """(time,): the displacement that the fit predicts."""
     rows: np.ndarray
@@ -60,9 +62,14 @@ class Left:
     period_s: float
 
     @classmethod
-    def of(cls, record: Record, residual: np.ndarray, span_um: float, factor: int) -> "Left":
-        """Return it for one recording and its residual, (time,), µm, as means over `factor` samples."""
-        e = means(np.where(record.train | record.held_out, residual, np.nan), factor) / span_um
+    def of(
+        cls, record: Record, residual: np.ndarray, counts: np.ndarray, span_um: float, factor: int
+    ) -> "Left":
+        """Return it for one recording and its residual, (time,), µm, where that counts, (time,) of bool, as
+        means over `factor` samples."""
+        part = means(counts, factor)
+        e = np.where(part > 0, means(np.where(counts, residual, 0.0), factor), np.nan)
+        e /= span_um * np.maximum(part, 1e-300)
         x = means(record.y - residual, factor) / span_um
         from_middle, about = x - x.mean(), max(len(x) // (2 * CELLS), 5)
         level = uniform_filter1d(from_middle, about)
@@ -82,7 +89,8 @@ class Walks:
     """A model of what is left: a walk of the gain, of an added signal, or both."""
 
     nats: float
-    """Log density of the residual."""
+    cells: np.ndarray
+    """(cells,): log densities."""
     predicted: float
     """Share of the residual's mean square that it predicts one step ahead."""
     adds: tuple[np.ndarray, ...]
@@ -102,16 +110,17 @@ class Walks:
         counts = [one > 0 for one in variance]
         scaled = [v[n] ** 2 / s[n] for v, s, n in zip(error, variance, counts, strict=True)]
         of_noise = max(float(np.mean(np.concatenate(scaled))), noise)
-        nats = -0.5 * sum(
-            float(np.sum(np.log(of_noise * s[n]) + v / of_noise))
-            for s, v, n in zip(variance, scaled, counts, strict=True)
-        )
+        nats = [np.zeros(len(n)) for n in counts]
+        for one, s, v, n in zip(nats, variance, scaled, counts, strict=True):
+            one[n] = -0.5 * (np.log(of_noise * s[n]) + v / of_noise)
+        cells = np.array([float(cell.sum()) for one in nats for cell in np.array_split(one, CELLS)])
         missed, whole = (
             sum(float(np.sum(each[n] ** 2)) for each, n in zip(signal, counts, strict=True))
             for signal in (error, [one.e for one in left])
         )
         return cls(
-            nats,
+            float(cells.sum()),
+            cells,
             1.0 - missed / max(whole, 1e-300),
             tuple(np.where(n, one.e - v, 0.0) for one, v, n in zip(left, error, counts, strict=True)),
         )
@@ -173,25 +182,32 @@ def wandering_gain(
     """
     span_um = max(float(np.ptp(record.y)) for record in records)
     factor = max(1, max(len(record.y) for record in records) // AT_MOST)
-    left = [Left.of(r, e, span_um, factor) for r, e in zip(records, final.residuals, strict=True)]
+    each = list(zip(records, final.residuals, strict=True))
+    left = [Left.of(r, e, r.train, span_um, factor) for r, e in each]
     noise = max((noise_um / span_um) ** 2 / factor, LEAST_NOISE)
     alone = [[start] for start in STARTS]
     of_gain, log_gain = Walks.best(left, noise, lambda s: (s[0], 0.0), alone)
     added, log_added = Walks.best(left, noise, lambda s: (0.0, s[0]), alone)
-    little = [[*log_gain, *(log_added + STARTS[0])], [*(log_gain + STARTS[0]), *log_added]]
-    both, _ = Walks.best(left, noise, lambda s: (s[0], s[1]), little)
-    needs_gain = max(both.nats - added.nats + PRIOR, 0.0)
-    needs_added = max(both.nats - of_gain.nats, 0.0)
+    beside = [[*log_gain, *(log_added + STARTS[0])], [*(log_gain + STARTS[0]), *log_added]]
+    both, _ = Walks.best(left, noise, lambda s: (s[0], s[1]), beside)
+    needs_gain, needs_added = (max(both.nats - one.nats, 0.0) for one in (added, of_gain))
     evidence = needs_gain / max(needs_gain + needs_added, 1e-300)
     share = max(of_gain.predicted, 0.0)
+    better = gain(of_gain.cells, added.cells, PRIOR).probability
+    shown = Walks.of(
+        [Left.of(r, e, r.train | r.held_out, span_um, factor) for r, e in each],
+        noise,
+        float(np.exp(log_gain[0])),
+        0.0,
+    )
     power, of_motion = (
-        mean_square(np.concatenate(all_of)) for all_of in (of_gain.adds, [one.x for one in left])
+        mean_square(np.concatenate(all_of)) for all_of in (shown.adds, [one.x for one in left])
     )
     effect = NamedEffect(
         GainModulation.name,
         GainModulation.block,
         GainModulation.degenerate_with,
-        round(trust(share * evidence * of_no_motion(left)), 4),
+        round(trust(share * evidence * of_no_motion(left)), 4) if better > ACCEPTED else 0.0,
         (Parameter("gain_rms", sqrt(power / of_motion), "", None),),
         share,
         "y = x [1 + g], g a random walk",
@@ -201,7 +217,7 @@ def wandering_gain(
     )
     adds = [
         span_um * np.interp(np.arange(len(r.y)), factor * (np.arange(len(one)) + 0.5) - 0.5, one)
-        for r, one in zip(records, of_gain.adds, strict=True)
+        for r, one in zip(records, shown.adds, strict=True)
     ]
     return effect, adds
 
