@@ -223,7 +223,8 @@ def wandering_gain(
 
 
 def of_no_motion(left: Sequence[Left]) -> float:
-    """Return the share, 0–1, of a residual that the motion, with its past, does not predict."""
+    """Return the share, 0–1, of a residual that the motion, with its past, predicts no better than by chance:
+    as it predicts the residual reversed in time, since any slow signal resembles another."""
     each = []
     for k, one in enumerate(left):
         x, own = one.rows[:, CENTRED], np.zeros((len(left), len(one.x)))
@@ -232,9 +233,17 @@ def of_no_motion(left: Sequence[Left]) -> float:
         each.append(
             np.stack([*own, x, x**2, x**3, *(f for p in past for f in (p, np.abs(p), p * x))], axis=1)
         )
-    e, rows = np.concatenate([one.e for one in left]), np.concatenate(each)
-    rows, e = rows[np.isfinite(e)], e[np.isfinite(e)]
+    rows = np.concatenate(each)
     rows /= np.maximum(np.abs(rows).max(axis=0), 1e-300)
+    signals = [np.concatenate([one.e[::order] for one in left]) for order in (1, -1)]
+    rest, by_chance = (unpredicted(e, rows) for e in signals)
+    return min(rest / max(by_chance, 1e-300), 1.0)
+
+
+def unpredicted(e: np.ndarray, rows: np.ndarray) -> float:
+    """Return the share of the mean square of a signal, (time,), that rows, (time, rows), do not predict."""
+    counts = np.isfinite(e)
+    rows, e = rows[counts], e[counts]
     rest = e - rows @ np.linalg.lstsq(rows, e, rcond=1e-8)[0]
     return float(rest @ rest) / max(float(e @ e), 1e-300)
 
