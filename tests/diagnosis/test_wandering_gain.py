@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from tests.diagnosis.plants import pair
 from torchpi.diagnosis.decide import Decision
 from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnosis import NamedEffect
 from torchpi.diagnosis.wandering_gain import wandering_gain, with_wandering_gain
 
 TIME, NOISE_UM = 2000, 0.01
@@ -120,13 +121,20 @@ def test_no_other_residual_is_one(of: Residual, noise_um: float) -> None:
     assert wandering_gain(*left(of), noise_um)[0].probability < 0.1
 
 
-def test_it_explains_its_share_but_is_no_complete_explanation() -> None:
+@pytest.mark.parametrize("measured", [True, False])
+def test_it_explains_its_share_but_is_no_complete_explanation(measured: bool) -> None:
+    """It leaves a fifth of the mean square of the retuned stage, and a lag explains the rest."""
     records, fit = left(of_a_gain)
-    before = Decision("unexplained", (), (), 0.8, 0.2, NOISE_UM)
-    found, adds = with_wandering_gain(before, records, fit, SimpleNamespace(rms_um=NOISE_UM))
+    fit.train_rms, retuned = 1.0, SimpleNamespace(train_rms=5**0.5)
+    lag = NamedEffect("sensor_lag", "sensor", (), 0.9, (), 0.8 if measured else 1.0, "", "", ())
+    before = Decision("partly_explained", (lag,), (), 0.2 if measured else 0.0, 0.0, None)
+    noise = SimpleNamespace(rms_um=NOISE_UM) if measured else None
+    found, adds = with_wandering_gain(before, records, retuned, fit, noise)
     assert found.verdict == "partly_explained"
-    assert [effect.name for effect in found.effects] == ["gain_modulation"]
-    assert found.effects[0].share + found.unexplained_share == pytest.approx(0.8)
+    assert {one.name: one.share for one in found.effects} == pytest.approx(
+        {"sensor_lag": 0.8, "gain_modulation": 0.2}, abs=0.03
+    )
+    assert sum(one.share for one in found.effects) + found.unexplained_share == pytest.approx(1.0)
     assert len(adds) == len(records)
 
 
@@ -143,4 +151,4 @@ def test_a_gain_that_is_named_already_is_not_named_twice() -> None:
     records, fit = left(of_a_gain)
     effect, _ = wandering_gain(records, fit, NOISE_UM)
     before = Decision("partly_explained", (effect,), (), 0.1, 0.0, NOISE_UM)
-    assert with_wandering_gain(before, records, fit, None) == (before, [])
+    assert with_wandering_gain(before, records, fit, fit, None) == (before, [])

@@ -139,7 +139,7 @@ def diagnose(
     wandered = list[np.ndarray]()
     if GainModulation in tried and decision.verdict not in CLOSED and not search.slips:
         log("gain: whether what is left is a gain that wanders")
-        decision, wandered = with_wandering_gain(decision, chain.records, final, noise)
+        decision, wandered = with_wandering_gain(decision, chain.records, retuned, final, noise)
     alike = untested(chain.records, what)
     across: tuple[AcrossRecordings, ...] = ()
     another_um: float | None = None

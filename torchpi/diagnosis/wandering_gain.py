@@ -148,20 +148,24 @@ class Walks:
 
 
 def with_wandering_gain(
-    decision: Decision, records: Sequence[Record], final: Fit, noise: Noise | None
+    decision: Decision, records: Sequence[Record], retuned: Fit, final: Fit, noise: Noise | None
 ) -> tuple[Decision, list[np.ndarray]]:
     """Name a wandering gain that the residual shows, and return what it adds to each recording, (time,), µm.
     No stage can predict it from the voltage, so it explains its share, but the verdict is not "explained"."""
     effect, adds = wandering_gain(records, final, noise.rms_um if noise is not None else 0.0)
     if effect.probability < NAMED or effect.name in {one.name for one in decision.effects}:
         return decision, []
-    left = decision.unexplained_share
+    # Where the noise was not measured, nothing of what is left counts as unexplained yet.
+    measured = noise is not None
+    left = decision.unexplained_share if measured else (final.train_rms / retuned.train_rms) ** 2
+    share = left * effect.share
+    others = [replace(one, share=one.share * (1.0 if measured else 1.0 - share)) for one in decision.effects]
     named = replace(
         decision,
         verdict="partly_explained",
-        effects=(*decision.effects, replace(effect, share=left * effect.share)),
+        effects=tuple(sorted([*others, replace(effect, share=share)], key=lambda one: -one.share)),
         open=tuple(one for one in decision.open if one.name != effect.name),
-        unexplained_share=left * (1.0 - effect.share),
+        unexplained_share=decision.unexplained_share * (1.0 - effect.share),
     )
     return named, adds
 
@@ -172,8 +176,8 @@ def wandering_gain(
     """Return a wandering gain with its probability and its share of what a fit leaves, and what it adds to
     each recording, (time,), µm.
 
-    Its share of the residual, of the evidence for either walk, and of the residual that the motion does not
-    predict have to be large together, because a misfit of any kind has some of each.
+    Its share of the residual, that of the evidence for either walk, and the share of the residual that the
+    motion does not predict have to be large together: a misfit of any kind has some of each.
 
     Args:
         records: The recordings.
