@@ -305,6 +305,22 @@ def test_a_reading_far_beyond_a_heavy_tail_is_wrong_and_the_tail_itself_is_not()
     assert no_tail(np.zeros(3), rest) == np.inf
 
 
+def test_bursts_that_end_hide_no_wrong_readings_beyond_them() -> None:
+    """A motor's friction makes one reading in thirty up to thirty times as large, but none larger."""
+    rng = np.random.default_rng(1)
+    rest = np.where(rng.random(20_000) < 0.03, rng.uniform(0, 30, 20_000), np.abs(rng.normal(size=20_000)))
+    bursts = np.sort(rest)[-20:]
+    assert no_tail(bursts, rest) == np.inf
+    assert no_tail(np.append(bursts, np.full(6, 100.0)), rest) == 100.0
+
+
+@pytest.mark.parametrize("freedom", [1.5, 3.0, 1e6])
+def test_the_largest_of_heavy_tailed_noise_are_no_wrong_readings(freedom: float) -> None:
+    for seed in range(20):
+        rest = np.abs(np.random.default_rng(seed).standard_t(freedom, 16_000))
+        assert no_tail(np.sort(rest)[-20:], rest) == np.inf
+
+
 def bump(samples: int) -> np.ndarray:
     return 4.0 * np.exp(-(((np.arange(samples) - 0.7 * samples) / (0.05 * samples)) ** 2))
 

@@ -27,6 +27,10 @@ FALSE_ALARM = 1e-3
 """Probability that the tail of the noise alone contains so many readings so far out."""
 BODY, TAIL = 0.5, 0.99
 """Quantiles of the residual, whose ratio determines the tail of a Student t."""
+BEYOND = 30
+"""Number of readings beyond a quantile from which that is known within a tenth."""
+APART = 0.2
+"""Largest ratio of what lies beyond two quantiles for a tail between them to be known."""
 HEAVIEST, LIGHTEST = 1.0, 100.0
 """Bounds of the degrees of freedom of a Student t; at the upper one it is nearly normal."""
 READ_OFF = 0.99
@@ -115,22 +119,38 @@ def usual_about(alone_um: np.ndarray) -> np.ndarray:
 
 
 def expected_beyond(limits: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Return how many of these errors, (samples,), a Student t of their body and tail has beyond each limit.
+    """Return how many of these errors, (samples,), lie beyond each limit if their tail goes on as it begins.
 
-    Sensor noise with heavy tails is not rare: a few readings at ten times its rms are then noise.
+    Sensor noise with heavy tails is not rare: a few readings at ten times its rms are then noise. But the
+    bursts of a motor's friction, which make a tail heavy, end. Where enough readings show that, their tail
+    counts, unless it is heavier, as that of undetected wrong readings is.
     """
-    body, tail = np.quantile(errors, [BODY, TAIL])
+    outermost, quantiles = 1 - BEYOND / len(errors), [(BODY, TAIL)]
+    if 1 - outermost < APART * (1 - TAIL):
+        quantiles.append((TAIL, outermost))
+    found: np.ndarray = np.min([of_student_t(limits, errors, *both) for both in quantiles], axis=0)
+    return found
+
+
+def of_student_t(limits: np.ndarray, errors: np.ndarray, inner: float, outer: float) -> np.ndarray:
+    """Return how many of these errors, (samples,), a Student t with two of their quantiles has beyond each
+    limit."""
+    body, tail = np.quantile(errors, [inner, outer])
     if not 0 < body < tail:
         return np.zeros(len(limits))
 
     def ratio(freedom: float) -> float:
-        inner, outer = stdtrit(freedom, [0.5 + BODY / 2, 0.5 + TAIL / 2])
-        return float(np.log(outer / inner) - np.log(tail / body))
+        of_body, of_tail = stdtrit(freedom, [0.5 + inner / 2, 0.5 + outer / 2])
+        return float(np.log(of_tail / of_body) - np.log(tail / body))
 
     freedom = (
-        LIGHTEST if ratio(LIGHTEST) > 0 else 1.0 if ratio(1.0) < 0 else float(brentq(ratio, 1.0, LIGHTEST))
+        LIGHTEST
+        if ratio(LIGHTEST) > 0
+        else HEAVIEST
+        if ratio(HEAVIEST) < 0
+        else float(brentq(ratio, HEAVIEST, LIGHTEST))
     )
-    scale = body / stdtrit(freedom, 0.5 + BODY / 2)
+    scale = body / stdtrit(freedom, 0.5 + inner / 2)
     beyond: np.ndarray = 2 * len(errors) * stdtr(freedom, -limits / scale)
     return beyond
 
