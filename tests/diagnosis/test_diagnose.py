@@ -225,6 +225,16 @@ def test_wrong_readings_are_found_beside_a_temporary_model_error() -> None:
     assert "dropouts" in [effect.name for effect in diagnose(rig, effects=[]).effects]
 
 
+def test_readings_left_out_without_being_named_are_counted_in_a_note() -> None:
+    """Of a tail as heavy as Cauchy's, readings that stand apart are left out, but not named."""
+    tail = NOISE_UM * np.random.default_rng(1).standard_t(1.0, 4000)
+    found = diagnose([record(multisine(4000), name="a", after=lambda x, fs_hz: x + tail)], effects=[])
+    assert "dropouts" not in [effect.name for effect in found.effects]
+    assert any("a: readings that do not count because they stand apart" in note for note in found.notes)
+    quiet = diagnose([record(multisine(4000), name="a")], effects=[])
+    assert not any("stand apart" in note for note in quiet.notes)
+
+
 def test_zeros_in_a_motion_as_fast_as_the_sampling_are_wrong_readings() -> None:
     """Each zero lies between its neighbours and is recognised only because the same value recurs."""
     rig = [record(np.random.default_rng(0).uniform(0, 9, 4000), name="a")]

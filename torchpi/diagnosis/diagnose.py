@@ -187,7 +187,8 @@ def diagnose(
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
         next_recording=next_one, next_excitation=excitation,
         notes=(
-            *readings.notes, *cannot_be_decided(chain.records), *untried_note(called, untried), *codes_note,
+            *readings.notes, *readings.masked(wrong), *cannot_be_decided(chain.records),
+            *untried_note(called, untried), *codes_note,
             *notes(search, chain.records, final, augmented, traces, floor_um),
         ),
         traces=traces, stage=stage,

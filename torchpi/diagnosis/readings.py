@@ -35,10 +35,22 @@ class Readings:
 
     def wrong(self, records: Sequence[Record], final: Fit) -> list[np.ndarray]:
         """Return the wrong readings of each recording, (readings,), judged by the residual of a fit."""
-        apart = [
-            np.setdiff1d(each, one.not_read) for each, one in zip(self.out, self.recordings, strict=True)
-        ]
-        return wrong_readings(records, apart, final)
+        return wrong_readings(records, self.apart, final)
+
+    @property
+    def apart(self) -> list[np.ndarray]:
+        """(readings,) for each recording: those that do not count although they were read."""
+        return [np.setdiff1d(each, one.not_read) for each, one in zip(self.out, self.recordings, strict=True)]
+
+    def masked(self, wrong: Sequence[np.ndarray]) -> tuple[str, ...]:
+        """Return a sentence for each recording with readings that do not count, besides the wrong ones."""
+        counts = [len(np.setdiff1d(*each)) for each in zip(self.apart, wrong, strict=True)]
+        return tuple(
+            f"{one.name}: readings that do not count because they stand apart from their neighbours: {count}."
+            " Such readings are wrong, late, or the tail of the noise."
+            for one, count in zip(self.recordings, counts, strict=True)
+            if count
+        )
 
     def without(self, wrong: Sequence[np.ndarray]) -> "Readings":
         """Return the readings less these of each recording, (readings,)."""
