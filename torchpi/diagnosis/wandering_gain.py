@@ -41,8 +41,6 @@ LAGS = 2 ** np.arange(6)
 """Samples back from which the motion may predict a residual."""
 DIFFUSE = 1e8
 """Prior variance of a constant coefficient, in multiples of the noise's."""
-CENTRED = 3
-"""Column of a recording's rows with the displacement from its mean."""
 LEAST_NOISE = 1e-16
 """Variance of the noise below which none is assumed, over that of the travel."""
 STARTS = (-6.0, 2.0)
@@ -55,11 +53,14 @@ class Left:
 
     e: np.ndarray
     """(time,): the residual, NaN where it does not count."""
-    x: np.ndarray
-    """(time,): the displacement that the fit predicts."""
     rows: np.ndarray
     """(time, 2 + constants): what g, a and each c_j multiply."""
     period_s: float
+
+    @property
+    def x(self) -> np.ndarray:
+        """(time,): the displacement that the fit predicts, which g multiplies."""
+        return self.rows[:, 0]
 
     @classmethod
     def of(
@@ -81,7 +82,7 @@ class Left:
         along = np.linspace(-1.0, 1.0, len(x))
         of_gain = (np.ones_like(x), from_middle, amplitude, level, speed, along)
         rows = [x, np.ones_like(x), np.ones_like(x), *(from_middle * one for one in of_gain)]
-        return cls(e, x, np.stack(rows, axis=1), factor * record.period_s)
+        return cls(e, np.stack(rows, axis=1), factor * record.period_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +153,10 @@ def with_wandering_gain(
 ) -> tuple[Decision, list[np.ndarray]]:
     """Name a wandering gain that the residual shows, and return what it adds to each recording, (time,), µm.
     No stage can predict it from the voltage, so it explains its share, but the verdict is not "explained"."""
+    if GainModulation.name in {one.name for one in decision.effects}:
+        return decision, []
     effect, adds = wandering_gain(records, final, noise.rms_um if noise is not None else 0.0)
-    if effect.probability < NAMED or effect.name in {one.name for one in decision.effects}:
+    if effect.probability < NAMED:
         return decision, []
     # Where the noise was not measured, nothing of what is left counts as unexplained yet.
     measured = noise is not None
@@ -192,12 +195,13 @@ def wandering_gain(
     alone = [[start] for start in STARTS]
     of_gain, log_gain = Walks.best(left, noise, lambda s: (s[0], 0.0), alone)
     added, log_added = Walks.best(left, noise, lambda s: (0.0, s[0]), alone)
-    beside = [[*log_gain, *(log_added + STARTS[0])], [*(log_gain + STARTS[0]), *log_added]]
-    both, _ = Walks.best(left, noise, lambda s: (s[0], s[1]), beside)
-    needs_gain, needs_added = (max(both.nats - one.nats, 0.0) for one in (added, of_gain))
-    evidence = needs_gain / max(needs_gain + needs_added, 1e-300)
-    share = max(of_gain.predicted, 0.0)
-    better = gain(of_gain.cells, added.cells, PRIOR).probability
+    share, probability = max(of_gain.predicted, 0.0), 0.0
+    if gain(of_gain.cells, added.cells, PRIOR).probability > ACCEPTED:
+        beside = [[*log_gain, *(log_added + STARTS[0])], [*(log_gain + STARTS[0]), *log_added]]
+        both, _ = Walks.best(left, noise, lambda s: (s[0], s[1]), beside)
+        needs_gain, needs_added = (max(both.nats - one.nats, 0.0) for one in (added, of_gain))
+        evidence = needs_gain / max(needs_gain + needs_added, 1e-300)
+        probability = round(trust(share * evidence * of_no_motion(left)), 4)
     shown = Walks.of(
         [Left.of(r, e, r.train | r.held_out, span_um, factor) for r, e in each],
         noise,
@@ -211,7 +215,7 @@ def wandering_gain(
         GainModulation.name,
         GainModulation.block,
         GainModulation.degenerate_with,
-        round(trust(share * evidence * of_no_motion(left)), 4) if better > ACCEPTED else 0.0,
+        probability,
         (Parameter("gain_rms", sqrt(power / of_motion), "", None),),
         share,
         "y = x [1 + g], g a random walk",
@@ -231,7 +235,7 @@ def of_no_motion(left: Sequence[Left]) -> float:
     as it predicts the residual reversed in time, since any slow signal resembles another."""
     each = []
     for k, one in enumerate(left):
-        x, own = one.rows[:, CENTRED], np.zeros((len(left), len(one.x)))
+        x, own = one.x - one.x.mean(), np.zeros((len(left), len(one.x)))
         own[k] = 1.0
         past = [x - np.concatenate([np.full(min(int(lag), len(x)), x[0]), x[:-lag]]) for lag in LAGS]
         each.append(
