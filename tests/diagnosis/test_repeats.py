@@ -8,15 +8,11 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import record
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import diagnose
-from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.repeats import APART, PLAIN, STARTING, Repeats, Stretch, periodic_stretches
 from torchpi.diagnosis.score import Weighting
-from torchpi.diagnosis.search import Search
 from torchpi.excitation.signals import multisine as random_phase
 from torchpi.recordings.recording import Recording
-from torchpi.stage.effects.actuator.creep import Creep
-from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 FS_HZ = 5_000.0
 _, U = random_phase(8.0, FS_HZ, 0, 10, 1, 200, 2, odd_lines=True, detection_lines=True, seed=2)
@@ -146,22 +142,3 @@ def test_a_drift_is_found_beneath_an_unmodelled_periodic_residual_only_if_presen
     found = diagnose([ripples(drift_um)])
     slow = {"thermal_drift", "gain_modulation", "ageing", "creep", "leakage"}
     assert slow & {effect.name for effect in found.effects} == ({"thermal_drift"} if drift_um else set())
-
-
-def test_a_random_walk_far_larger_than_the_periodic_residual_is_found() -> None:
-    chain = Chain(prepared([ripples(2.0)]))
-    noise = measured_noise(chain.records)
-    search = Search(chain, lambda sentence: None, noise=noise, effects=[ThermalDrift])
-    now = search.reweighted(search.retuned())
-    (found,) = search.walks(now)
-    assert found.name == "thermal_drift" and found.fit.train_rms < 0.35 * now.train_rms
-
-
-def test_a_random_walk_is_accepted_if_nothing_else_explains_the_residual() -> None:
-    chain = Chain(prepared([ripples(0.8)]))
-    search = Search(
-        chain, lambda sentence: None, noise=measured_noise(chain.records), effects=[Creep, ThermalDrift]
-    )
-    _, final, _ = search.run()
-    (drift,) = (member for member in final.hypothesis.members if member.effect is ThermalDrift)
-    assert drift.effect.form(drift.values(0)) == "random walk"

@@ -128,12 +128,6 @@ def test_the_share_that_effects_explain_only_jointly_is_stated() -> None:
     assert "together" not in paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
 
 
-def test_the_knots_of_a_random_walk_are_not_listed() -> None:
-    knots = tuple(Parameter(f"knot{k}", -0.1 * k, "", (-1.0, 0.0)) for k in (1, 2, 3))
-    walk = replace(lag(0.9), name="gain_modulation", block="sensor", form="random walk", parameters=knots)
-    assert "lacks gain modulation in the sensor (random walk): 71 %" in sentence(walk)
-
-
 def test_noise_that_was_not_measured_is_stated_as_such() -> None:
     known = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
     unknown = paragraph(decided("explained", lag(0.9)), ERRORS, None, NEXT)

@@ -19,7 +19,6 @@ from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
-from torchpi.stage.effects.sensor.thermal_drift import KNOT_NAMES, ThermalDrift
 
 
 @pytest.mark.parametrize("effect", [effect for effect in EFFECTS if not effect.read_off])
@@ -62,25 +61,6 @@ def test_a_start_gains_at_once_only_near_the_solution() -> None:
     )
     assert far.gain > 0 > far.at_once
     assert 0 < near.at_once <= near.gain
-
-
-def test_a_random_walk_starts_near_its_true_knots() -> None:
-    """From a hundredth of the range, a fit of a few steps would not reach the knots."""
-    walk = np.array([3.0, -2.0, 1.0, 4.0, -1.0, 2.0, 0.5, -3.0])
-    u = np.tile(np.append(np.arange(50), np.arange(50)[::-1]) / 5.0, 90)
-    t = np.arange(len(u)) / (0.85 * len(u))  # the sealed end begins at 1
-    drift = np.interp(t, np.arange(9) / 8, [0.0, *walk])
-    chain = Chain(prepared([record(u, after=lambda x, fs_hz: x + drift)]))
-    what = seen(chain.records)
-    now = fit(chain, Hypothesis(many_plays(what)))
-    chain.weighting = Weighting.of(chain.records, now.residuals, None)
-    (start,) = (
-        member
-        for member in candidates_of(ThermalDrift, chain.records, ThermalDrift.starts(what), [])
-        if not ThermalDrift.extrapolates(member.shared)
-    )
-    (found,) = Screen(chain, now).solved(start).own
-    assert np.allclose([found[name] for name in KNOT_NAMES], walk, atol=0.3)
 
 
 def test_only_unsigned_parameters_that_vanish_smoothly_at_zero_count_as_sizes() -> None:

@@ -144,17 +144,6 @@ def test_sealed_samples_never_increase_a_share(known: float, there: float, here:
     assert 0 <= confirmed(known, [record()], more, [less], NOISE_UM2, alone) <= known
 
 
-@pytest.mark.parametrize(
-    ("sealed_um", "walk", "other"), [(0.05, 0.9, 0.9), (-0.001, 0.9, 0.8), (-0.1, 0.0, 0.0)]
-)
-def test_a_random_walk_is_refuted_by_a_clear_loss_only(sealed_um: float, walk: float, other: float) -> None:
-    """Its last value stands for what follows, which near the mean is by chance no better than none."""
-    more, less = fits(0.004, sealed_um)
-    both = (0.9, [record()], more, [less], NOISE_UM2)
-    assert confirmed(*both, False, walks=True) == pytest.approx(walk, abs=0.02)
-    assert confirmed(*both, True) < other + 0.02
-
-
 @pytest.mark.parametrize(("creeps_um", "refuted"), [(0.0, False), (0.5, True)])
 def test_in_a_hold_outside_the_fitted_voltage_range_only_the_mean_does_not_count(
     creeps_um: float, refuted: bool

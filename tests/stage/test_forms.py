@@ -16,8 +16,8 @@ FORMS = {
     "rate_dependent_hysteresis": {"relaxation_s": 2e-4},
     "creep": {"power_per_decade": 0.02, "exponent": 0.3},
     "backlash": {"width_um": 0.05, "presliding_um": 0.02},
-    "thermal_drift": {"knot_spacing_s": 0.01, "knot1_um": 0.1, "knot3_um": -0.2},
-    "gain_modulation": {"frequency_hz": 20.0, "cos": 0.02, "sin_um": 0.1, "knot2": 0.1},
+    "thermal_drift": {"amplitude_um": 0.1, "time_constant_s": 0.02, "rate_um_per_s": -0.2},
+    "gain_modulation": {"frequency_hz": 20.0, "cos": 0.02, "sin_um": 0.1},
 }
 
 

@@ -49,7 +49,7 @@ from torchpi.diagnosis.simulation import (
     with_untried,
 )
 from torchpi.diagnosis.stick_slip import free_run, without_rests
-from torchpi.diagnosis.wandering_gain import with_wandering_gain
+from torchpi.diagnosis.wandering import Wandering, with_wandering
 from torchpi.diagnosis.wrong_readings import of_dropouts
 from torchpi.errors import RecordingError
 from torchpi.recordings.recording import Recording
@@ -57,7 +57,6 @@ from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
-from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.identified import Identified
 
 UNCERTAIN = 0.9
@@ -136,10 +135,10 @@ def diagnose(
     wrong = readings.wrong(chain.records, final)
     if any(map(len, wrong)):
         decision = with_read_off(decision, of_dropouts(chain.records, wrong, final))
-    wandered = list[np.ndarray]()
-    if GainModulation in tried and decision.verdict not in CLOSED and not search.slips:
-        log("gain: whether what is left is a gain that wanders")
-        decision, wandered = with_wandering_gain(decision, chain.records, retuned, final, noise)
+    wanders: Wandering | None = None
+    if decision.verdict not in CLOSED and not search.slips:
+        log("wandering: whether what is left is a slow signal of its own")
+        decision, wanders = with_wandering(decision, chain.records, retuned, final, noise, tried)
     alike = untested(chain.records, what)
     across: tuple[AcrossRecordings, ...] = ()
     another_um: float | None = None
@@ -170,7 +169,7 @@ def diagnose(
     )
     stage.identified = Identified.of(recordings, HELD_OUT, errors[2].heldout_rms_um, errors[2].heldout_max_um)
     traces = traces_of(readings.recordings, chain.records, retuned, augmented, final, search.chain, decision)
-    traces = tuple(with_gain(*each) for each in zip(traces, wandered, strict=True)) if wandered else traces
+    traces = with_added(traces, wanders) if wanders else traces
     log("locate: where the residual lives")
     where = locate(from_settled(traces, search.unsettled), floor_um)
     next_one, excitation = next_recording(
@@ -330,9 +329,12 @@ def traces_of(
     return tuple(traces)
 
 
-def with_gain(trace: Trace, adds_um: np.ndarray) -> Trace:
-    """The recording with what a wandering gain adds to it, (time,), µm."""
-    return replace(trace, signatures={**trace.signatures, GainModulation.name: adds_um})
+def with_added(traces: Sequence[Trace], wanders: Wandering) -> tuple[Trace, ...]:
+    """The traces with what a wandering gain or zero adds to each."""
+    return tuple(
+        replace(trace, signatures={**trace.signatures, wanders.effect.name: adds_um})
+        for trace, adds_um in zip(traces, wanders.adds, strict=True)
+    )
 
 
 def from_settled(traces: Sequence[Trace], unsettled: Sequence[int]) -> list[Trace]:

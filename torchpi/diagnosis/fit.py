@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.free_parameters import (
@@ -29,7 +28,6 @@ from torchpi.diagnosis.sensitivity import (
     slopes_of,
     tangent_of,
 )
-from torchpi.diagnosis.walk_prior import walk_prior
 from torchpi.errors import StageError
 
 PRIOR, PRIOR_SHARE = 3e-7, 1e-2
@@ -103,13 +101,13 @@ def fit(
         iterations = 0 if fresh_weights else 1
     damping, current = 1e-3, with_theta(hypothesis, slots, theta)
     n, prior, last = len(weights), np.zeros((0, 0)), None
-    walks, centre = walk_prior(hypothesis, slots, theta), centre_of(hypothesis, n)
+    centre = centre_of(hypothesis, n)
     about = np.concatenate([centre, np.zeros_like(theta)])
     for _ in range(iterations):
         if tangent is None:
             tangent = tangent_of(chain, current, weights)
         slopes = slopes_of(chain, current, weights, slots, theta, slopes if tolerance > FINE else None)
-        prior = prior if len(prior) else block_diag(prior_of(chain, hypothesis, tangent.gram), walks)
+        prior = prior if len(prior) else np.pad(prior_of(chain, hypothesis, tangent.gram), (0, len(theta)))
         numbers = np.concatenate([weights, theta]) - about
         gram, right, ss = normal_equations(chain, current, weights, tangent, slopes)
         last = tangent, slopes
@@ -127,7 +125,6 @@ def fit(
             at_trial: Tangent | None = tangent
             if slots and promised > 1e-4 * ss and ss - trial_ss < KEPT_PROMISE * promised:
                 solved, solved_ss, fresh_tangent = with_weights_solved(chain, trial, weights, prior[:n, :n])
-                solved_ss += float(trial_theta @ walks @ trial_theta)
                 if solved_ss < trial_ss:
                     trial_weights, trial_ss, at_trial = solved, solved_ss, fresh_tangent
             if trial_ss < ss:
@@ -143,7 +140,7 @@ def fit(
     if last is None:
         tangent = tangent or tangent_of(chain, current, weights)
         last = tangent, slopes_of(chain, current, weights, slots, theta)
-        prior = block_diag(prior_of(chain, hypothesis, tangent.gram), walks)
+        prior = np.pad(prior_of(chain, hypothesis, tangent.gram), (0, len(theta)))
     parts = [joined(first, second) for first, second in zip(last[0].parts, last[1].parts, strict=True)]
     residuals = residuals_of(chain, current, weights)
     records = chain.records

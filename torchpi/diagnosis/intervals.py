@@ -67,7 +67,7 @@ def distance_from_none(now: Fit, covariance: np.ndarray, name: str) -> float:
     Mahalanobis distance of the parameters that are 0 without it, over the root of their number.
 
     It is infinite where the covariance cannot tell: if the logarithm of a parameter is too uncertain for a
-    linear step, or for a walk, whose knots are tied to one another.
+    linear step.
 
     Args:
         now: The fit.
@@ -79,7 +79,7 @@ def distance_from_none(now: Fit, covariance: np.ndarray, name: str) -> float:
         if slot.member < 0 or now.hypothesis.names[slot.member] != name:
             continue
         term, half = now.hypothesis.members[slot.member], sqrt(covariance[place, place])
-        if not term.effect.extrapolates(term.shared) or (slot.log and half > LINEAR):
+        if slot.log and half > LINEAR:
             return inf
         if term.effect.identity[slot.name] == 0.0 and half > 0:
             far.append((1.0 if slot.log else float(value)) / half)

@@ -295,16 +295,12 @@ def share_explained(
     nats = weighting.nats_of_kinds(more, less)
     apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
-    walks = not all(member.effect.extrapolates(member.shared) for member in terms)
     records, floor_um2 = search.chain.records, weighting.mean_floor_um2
-    helps = own_signal or walks  # these only either help there or not
     # The sealed samples are later than all others: for a slow effect they are an extrapolation, while those
     # of a motion that was fitted are no new test of a fast or static one.
-    slow = not helps and {member.effect.time_scale for member in terms} == {"slow"}
-    share = confirmed(
-        known, records, more, without, floor_um2, own_signal, apart, walks, either_way=slow, slow=slow
-    )
-    if helps or slow or one_motion(records):
+    slow = not own_signal and {member.effect.time_scale for member in terms} == {"slow"}
+    share = confirmed(known, records, more, without, floor_um2, own_signal, apart, either_way=slow, slow=slow)
+    if own_signal or slow or one_motion(records):
         return share, share
     return share, confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)
 

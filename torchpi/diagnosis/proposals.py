@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchpi.diagnosis.contest import HEAT, PRIOR, STEPS, Tried
+from torchpi.diagnosis.contest import HEAT, PRIOR, STEPS
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import Growth
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -48,9 +48,7 @@ class Proposals(Growth):
         starts = [
             member
             for member in [*self.starts, *self.from_residual(now, self.effects_tried)]
-            if member.effect.name not in barred
-            and (member.effect.name, member.aux) not in there
-            and member.effect.extrapolates(member.shared)
+            if member.effect.name not in barred and (member.effect.name, member.aux) not in there
         ]
         (screened,) = screen_all(self.chain, [(now, starts)], self.executor)
         best: dict[str, dict[tuple[str, ...], Candidate]] = {}
@@ -183,26 +181,6 @@ class Proposals(Growth):
                     hypothesis = hypothesis.plus(coupling)
                 jobs.append((hypothesis, now.weights, STEPS, ROUGH))
         return jobs
-
-    def walks(self, now: Fit) -> list[Tried]:
-        """Return fits of random walks, each from the knots that explain most, if more than noise is left that
-        does not repeat with the voltage. They can imitate anything slow, so they are tried last."""
-        there = {*now.hypothesis.names, *self.needless, *(name for name, _ in self.left_out)}
-        starts = [
-            member
-            for member in self.starts
-            if member.effect.name not in there and not member.effect.extrapolates(member.shared)
-        ]
-        if not starts or not self.chain.weighting.above_noise_apart(now):
-            return []
-        screen = Screen(self.chain, now)
-        begun = [now.hypothesis.plus(screen.solved(member)) for member in starts]
-        fits = self.fits([(h, now.weights, STEPS, ROUGH) for h in begun], now)
-        tried = [
-            Tried(member.effect.name, one, self.over(one, now, self.prior(now, one)))
-            for member, one in zip(starts, fits, strict=True)
-        ]
-        return sorted(tried, key=lambda one: -one.gain.nats)
 
     def from_residual(
         self, now: Fit, effects: Sequence[type[Effect] | type[InsideEffect]]

@@ -16,9 +16,6 @@ SEALED = 0.15
 """Share of each recording, at its end, that neither a fit nor the choice between hypotheses sees."""
 AT_MOST = 30_000
 """Maximum number of coefficients that a search sums over, in all recordings together."""
-REPEATS = 0.25
-"""Share of a recording's samples that must come again for its voltage to count as repeating: a third of a
-period, repeated."""
 LEVELS = 8.0
 """Number of scales among which these coefficients are divided."""
 
@@ -206,7 +203,6 @@ def seen(records: Sequence[Record]) -> DataRange:
         high_um=max(float(record.y.max()) for record in records),
         aux={n: max(float(r.aux[n].std()) for r in records if n in r.aux) for n in sorted(names)},
         peak_rate_v_s=float(rates.max()),
-        repeats=all(record.coefficients.repeats.apart.mean() > REPEATS for record in records),
         quickest_s=min(_time_to_move_s(record.commanded(0), record.fs_hz) for record in records),
     )
 

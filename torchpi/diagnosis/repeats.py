@@ -148,6 +148,18 @@ class Repeats:
             found[: end - stop] = np.sqrt(n / (n + 1)) * (e[stop:end] - mean[later])
         return found
 
+    def less_mean(self, rows: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Return rows, (rows, time), less their mean at each phase over the samples that count, (time,) of
+        bool; 0 where fewer than two do."""
+        found = np.zeros(rows.shape)
+        for one in self.periodic:
+            phase, there = np.arange(one.end - one.start) % one.period, counts[one.start : one.end]
+            number = np.bincount(phase[there], minlength=one.period)
+            for out, row in zip(found[:, one.start : one.end], rows[:, one.start : one.end], strict=True):
+                mean = np.bincount(phase[there], row[there], one.period) / np.maximum(number, 1)
+                out[:] = np.where(number[phase] > 1, row - mean[phase], 0.0)
+        return found
+
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Return the non-repeating part, (rows, samples), of rows, (rows, time): 0 where nothing recurs."""
         out = np.zeros((len(rows), self.samples))

@@ -30,8 +30,6 @@ ARTICLES = {
 """Articles of the effects whose names are countable: a resonance, but creep."""
 WALK = "random walk"
 """Form of an effect that nothing predicts."""
-KNOT = "knot"
-"""Prefix of the parameter names of a random walk."""
 WRONG, MENTIONED = 1.5, 3
 """Ratio of the errors before and after retuning from which it is said what retuning changed, and how many
 numbers are mentioned."""
@@ -176,8 +174,7 @@ def sentence(effect: NamedEffect) -> str:
     numbers = ", ".join(
         spoken(p.value) if isinstance(p.value, str) else stated(p)
         for p in effect.parameters[:3]
-        # Parameters that differ between recordings have no common value; one knot of a walk means little.
-        if p.value != 0.0 and not p.name.startswith(KNOT)
+        if p.value != 0.0  # parameters that differ between recordings have no common value
     )
     inside = "; ".join(filter(None, (effect.form, numbers)))
     where = "" if effect.block in effect.name else f" in the {effect.block}"

@@ -35,9 +35,6 @@ AT_MOST = 30.0
 ALIKE = 2.0
 """Ratio of the standard error to that of independent cells: a model's errors recur in every cycle and on
 neighbouring scales. Calibrated: `concealed/judging/calibration.py`."""
-MORE = 1.04
-"""Multiple of the noise's mean square above which a residual is more than noise: nothing is named that adds
-less than a fifth of the noise's rms."""
 LEAST_IN_STRATUM = 4
 """Smallest number of cells from whose differences a standard error is estimated."""
 TINY = 1e-12
@@ -164,12 +161,6 @@ class Weighting:
         found: np.ndarray = np.bincount(self.kinds, nats, len(KINDS))
         found[PLAIN] = max(found[PLAIN] - found[[STARTING, APART]].sum(), 0.0)
         return found
-
-    def above_noise_apart(self, fit: Fit) -> bool:
-        """Whether the residual that does not repeat with the voltage exceeds the noise after the start."""
-        apart = self.kinds == APART
-        left = fit.left_out_um2[apart] @ self.counts[apart]
-        return bool(left > MORE * (self.floor_um2[apart] @ self.counts[apart]))
 
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
         """(cells,): ℓ_c for given mean squares of the cells, (cells,), µm²."""

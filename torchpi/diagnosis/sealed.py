@@ -28,7 +28,6 @@ def confirmed(
     noise_um2: float,
     own_signal: bool,
     apart: float = 0.0,
-    walks: bool = False,
     either_way: bool = False,
     slow: bool = False,
 ) -> float:
@@ -46,9 +45,6 @@ def confirmed(
         own_signal: The effect has a signal of its own: the remaining residual is ignored, and only whether
             the effect improves every recording counts.
         apart: Fraction of its gain that lies in the part that does not repeat with the voltage, 0–1.
-        walks: The effect cannot be extrapolated, so its last value stands for it, and the remaining residual
-            is ignored too. Where that value is near the mean, it predicts no better and no worse, which says
-            nothing: the sealed samples count by how much they change, up to a factor e in the mean square.
         either_way: Take the share of the sealed samples if it is larger, too.
         slow: Compare means over a sixteenth of the sealed samples: what is faster says nothing about a slow
             effect, whatever causes it.
@@ -58,7 +54,7 @@ def confirmed(
     for part, split in ((1.0 - apart, as_they_are), (apart, what_does_not_repeat)):
         if part == 0.0:
             continue
-        gained = changed = left = ignored = here = there = voted = 0.0
+        gained = changed = left = ignored = here = there = 0.0
         for i, (record, e) in enumerate(zip(records, more.residuals, strict=True)):
             within = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
             beyond = held_at(record.u, record.held_out & ~within)
@@ -84,13 +80,11 @@ def confirmed(
             # A residual found only here is extrapolation error of the hysteresis, with or without the effect.
             usual = min(after, mean_square(e_train))
             rest = max(usual - noise_um2 / samples, 0.0)
-            left += 0.0 if own_signal or walks else votes * rest / ((after + before) / 2)
+            left += 0.0 if own_signal else votes * rest / ((after + before) / 2)
             ignored += votes * (after - usual) / ((after + before) / 2)
-            here, there, voted = here + acts, there + acted, voted + votes
+            here, there = here + acts, there + acted
         sealed = max(gained, 0.0) / max(changed + left, 1e-300)
         weight = min(sqrt(here / max(there, 1e-300)), 1.0)
-        if walks:
-            weight *= min(changed / max(voted, 1e-300), 1.0)
         if sealed > known:  # by taking away a little of an extrapolation error, an effect shows nothing
             weight *= gained / (gained + ignored) if either_way else 0.0
         share += part * weight * (sealed - known)

@@ -119,7 +119,6 @@ class Search(Proposals):
                 # Duhem states lack the wiping-out property and can imitate other physics, so they are tried
                 # last. Their loops drift until they close, which looks like a slow effect.
                 last = self.growth(small, small, [duhem(self.seen)])
-                last += self.walks(small) if chosen is None else []
                 last = [one for one in last if self.inside(one.fit, small)]
                 if chosen and is_larger(chosen):
                     last = [one for one in last if not self.bends_to_all(one.fit, chosen.fit)]

@@ -21,12 +21,12 @@ def test_every_start_has_a_declared_form_if_the_effect_has_forms(effect):
 
 
 @each
-def test_every_form_but_the_random_walk_is_tried(effect):
+def test_every_form_is_tried(effect):
     if not effect.read_off:
         ringing, simulated = np.sin(2 * np.pi * 700 * np.arange(20_000) / 1e4), replace(SEEN, simulated=True)
         starts = [*effect.starts(SEEN), *effect.starts_from(simulated, ringing, ringing, 1e4)]
         tried = {effect.form(start) for start in starts}
-        assert set(effect.forms) - {"random walk"} <= tried
+        assert set(effect.forms) <= tried
 
 
 @each
@@ -43,9 +43,11 @@ def test_only_effects_that_are_read_off_have_no_starts(effect):
 
 
 @each
-@pytest.mark.parametrize(("fs_hz", "duration_s"), [(200.0, 3600.0), (1e4, 1.0), (5e4, 0.05)])
-def test_every_slow_effect_has_a_possible_start_in_recordings_of_any_length(effect, fs_hz, duration_s):
-    seen = DataRange(fs_hz, duration_s, 0, 100, 1e4, 0, 20, {}, repeats=True)
+@pytest.mark.parametrize(("fs_hz", "duration_s"), [(200.0, 3600.0), (1e4, 1.0), (5e4, 0.12)])
+def test_every_slow_effect_has_a_possible_start_in_recordings_of_a_tenth_of_a_second_to_an_hour(
+    effect, fs_hz, duration_s
+):
+    seen = DataRange(fs_hz, duration_s, 0, 100, 1e4, 0, 20, {})
     assert effect.time_scale != "slow" or any(possible(effect, one) for one in effect.starts(seen))
 
 

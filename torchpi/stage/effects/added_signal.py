@@ -1,6 +1,6 @@
 """Effects in absolute time, with t from the first sample; most add a signal, y = x + s(t)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -26,10 +26,6 @@ class InTime(Effect):
     """What depends on the time. The state: samples since the first."""
 
     state_size = 1
-
-    @classmethod
-    def extrapolates(cls, values: Mapping[str, float]) -> bool:
-        return "knot_spacing_s" not in values  # a random walk cannot be extrapolated
 
 
 class AddedSignal(InTime):

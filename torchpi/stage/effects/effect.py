@@ -40,8 +40,6 @@ class DataRange:
     simulated: bool = False
     """Whether effects act on the output of a simulation of unknown structure, which may already have them
     with other parameters."""
-    repeats: bool = False
-    """Whether every recording's voltage repeats, so that signals that do not repeat can be separated."""
     quickest_s: float = 0.0
     """The smallest σ_u/σ_u̇ of a recording; a relaxation that ends sooner looks like a delay."""
 
@@ -108,8 +106,6 @@ class Described:
     """Whether small changes of the input do not move the output at rest, so that it has no slope there."""
     kinds: ClassVar[tuple[str, ...]] = ()
     """Parameters that select a variant of the effect; a start sets them, and they are not fitted."""
-    walk: ClassVar[tuple[str, ...]] = ()
-    """Per-recording parameters that are successive values of a random walk."""
     hold: Hold | None = None
     """How the input of a dynamic block behaves between samples; None if the effect does not depend on it."""
     time_scale: ClassVar[TimeScale] = "any"
@@ -168,11 +164,6 @@ class Described:
     ) -> list[Parameters]:
         """Return further starts, from the residual of a fit, for effects that a coarse grid misses."""
         return []
-
-    @classmethod
-    def extrapolates(cls, values: Mapping[str, float]) -> bool:
-        """Whether these parameters predict the samples after those that they were fitted to."""
-        return True
 
     @classmethod
     def line_hz(cls, values: Mapping[str, float]) -> float | None:

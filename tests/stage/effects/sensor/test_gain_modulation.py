@@ -9,24 +9,14 @@ import torch
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import DataRange
-from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation, lines_hz, modulation_hz
+from torchpi.stage.effects.sensor.gain_modulation import GainModulation, lines_hz, modulation_hz
 
 SEEN = DataRange(1e3, 20.0, 0, 1, 1, 0, 20, {})
 
 
 class TestLaws(EffectLaws):
     def operator(self) -> GainModulation:
-        knots = {name: 0.02 * (-1) ** k * (k + 1) for k, name in enumerate(KNOT_NAMES)}
-        return GainModulation(
-            PERIOD_S,
-            frequency_hz=0.7,
-            cos=0.1,
-            sin=-0.2,
-            cos_um=0.3,
-            sin_um=0.05,
-            knot_spacing_s=0.37,
-            **knots,
-        )
+        return GainModulation(PERIOD_S, frequency_hz=0.7, cos=0.1, sin=-0.2, cos_um=0.3, sin_um=0.05)
 
 
 def test_the_gain_is_modulated_at_one_frequency():
@@ -39,19 +29,18 @@ def test_the_gain_is_modulated_at_one_frequency():
 
 def test_only_the_additive_form_moves_a_stage_at_zero():
     x = torch.zeros(1, 100, dtype=torch.float64)
-    knots = dict.fromkeys(KNOT_NAMES, 0.1)
-    assert torch.equal(GainModulation(0.01, cos=0.1, **knots)(x)[0], x)
+    assert torch.equal(GainModulation(0.01, cos=0.1)(x)[0], x)
     assert GainModulation(0.01, cos_um=0.1)(x)[0][0, 0].item() == pytest.approx(0.1)
 
 
 def test_recordings_have_their_own_amplitude_and_phase_but_share_the_frequency():
     assert "frequency_hz" not in GainModulation.per_recording
-    assert {"cos", "sin", "cos_um", "sin_um", *KNOT_NAMES} == {*GainModulation.per_recording}
+    assert {"cos", "sin", "cos_um", "sin_um"} == {*GainModulation.per_recording}
 
 
-def test_every_start_has_one_form_and_every_form_but_the_random_walk_has_a_start():
+def test_every_start_has_one_form_and_every_form_has_a_start():
     forms = [GainModulation.form(start) for start in GainModulation.starts(SEEN)]
-    assert set(forms) == set(GainModulation.forms) - {"random walk"}
+    assert set(forms) == set(GainModulation.forms)
 
 
 def test_a_search_starts_at_lines_of_at_least_two_periods_below_half_the_sample_rate():

@@ -2,27 +2,18 @@
 
 import math
 
-import numpy as np
 import pytest
 import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import DataRange
-from torchpi.stage.effects.sensor.thermal_drift import KNOT_NAMES, ThermalDrift
+from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
 class TestLaws(EffectLaws):
     def operator(self) -> ThermalDrift:
-        knots = {name: 0.1 * (-1) ** k * (k + 1) for k, name in enumerate(KNOT_NAMES)}
-        return ThermalDrift(
-            PERIOD_S,
-            amplitude_um=0.4,
-            time_constant_s=7.0,
-            rate_um_per_s=-0.01,
-            knot_spacing_s=0.37,
-            **knots,
-        )
+        return ThermalDrift(PERIOD_S, amplitude_um=0.4, time_constant_s=7.0, rate_um_per_s=-0.01)
 
 
 def test_the_drift_settles_at_its_amplitude_or_continues_at_its_rate():
@@ -35,27 +26,13 @@ def test_the_drift_settles_at_its_amplitude_or_continues_at_its_rate():
     torch.testing.assert_close(moved, 0.003 * torch.arange(1001, dtype=torch.float64), rtol=0, atol=1e-12)
 
 
-def test_a_random_walk_is_linear_between_knots_and_constant_after_the_last():
-    knots = dict(zip(KNOT_NAMES, (1.0, -1.0, 0.5, 0.0, 0.0, 2.0, 2.0, 3.0), strict=True))
-    x = wandering(1, 120)
-    moved = (ThermalDrift(0.1, knot_spacing_s=1.0, **knots)(x)[0] - x)[0].detach().numpy()
-    expected = np.interp(0.1 * np.arange(120), np.arange(9), [0.0, *knots.values()])
-    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
-
-
-def test_a_recording_without_knots_of_its_own_has_no_random_walk():
-    assert {*KNOT_NAMES} <= {*ThermalDrift.per_recording}
-    x = wandering(1, 50)
-    assert torch.equal(ThermalDrift(0.1, knot_spacing_s=0.3)(x)[0], x)
-
-
 def test_the_forms_in_use_are_named():
-    assert ThermalDrift.form({"time_constant_s": 3.0, "knot_spacing_s": 2.0}) == ""
+    assert ThermalDrift.form({"time_constant_s": 3.0}) == ""
     assert ThermalDrift.form({"rate_um_per_s": 1.0}) == "linear"
-    assert ThermalDrift.form({"amplitude_um": 1.0, "knot3_um": 0.2}) == "exponential + random walk"
+    assert ThermalDrift.form({"amplitude_um": 1.0, "rate_um_per_s": 0.2}) == "exponential + linear"
 
 
-def test_a_search_tries_a_ramp_and_time_constants_up_to_the_duration_but_no_walk():
+def test_a_search_tries_a_ramp_and_time_constants_up_to_the_duration():
     starts = ThermalDrift.starts(DataRange(1e3, 50.0, 0, 1, 1, 0, 20, {}))
     assert starts[0] == {"rate_um_per_s": pytest.approx(0.2 / 50)}
     assert [start["time_constant_s"] for start in starts[1:]] == [2.5, 10.0, 50.0]

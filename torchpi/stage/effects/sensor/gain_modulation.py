@@ -1,7 +1,7 @@
 """A slow signal that the voltage does not drive: y = x [1 + m(t)] + a(t), t from the first sample.
 
 The light source of an interferometer or a reference voltage fluctuates (m), or a mount sways (a), with a line
-of 0.02 to 20 Hz. Without a fixed frequency, m is a random walk through knots (`torchpi.stage.effects.knots`).
+of 0.02 to 20 Hz. No equation predicts what has no fixed frequency: see `torchpi.diagnosis.wandering`.
 Fleming, *A review of nanometer-resolution position sensors: operation and performance*, Sensors and Actuators
 A 190, 2013: drift of gain and of offset.
 """
@@ -14,13 +14,10 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.base import StepStream
-from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import InTime
 from torchpi.stage.effects.effect import DataRange, Parameters, parameter
-from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk_at, walk_start
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
-KNOT_NAMES = knot_names("")
 STARTS_HZ = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0, 20.0)
 STANDS_OUT, AROUND = 6.0, 101
 """A displacement has a line where its amplitude exceeds the median of so many frequencies by this factor."""
@@ -31,10 +28,10 @@ FEWEST_PERIODS = 2.0
 
 
 def modulation_step(x: float, n: list[float], s: list[float]) -> float:
-    """Return x modulated; n holds T, f, both amplitudes of the gain's line and of the zero's, the spacing of
-    the knots and the knots, and s the samples so far."""
+    """Return x modulated; n holds T, f, and both amplitudes of the gain's line and of the zero's, s the
+    samples so far."""
     t_s = s[0] * n[0]
-    gain = 1.0 + oscillation(t_s, n[1], n[2], n[3]) + walk_at(s[0], n, 6)
+    gain = 1.0 + oscillation(t_s, n[1], n[2], n[3])
     s[0] += 1.0
     return x * gain + oscillation(t_s, n[1], n[4], n[5])
 
@@ -44,7 +41,7 @@ class GainModulation(InTime):
 
     name = "gain_modulation"
     block = "sensor"
-    equation = "y = x [1 + a cos 2πft + b sin 2πft], or x + a line, or x [1 + a random walk]"
+    equation = "y = x [1 + a cos 2πft + b sin 2πft], or x + a line"
     signature = (
         "an error in proportion to the displacement and to a slow signal that does not follow the voltage"
     )
@@ -55,29 +52,16 @@ class GainModulation(InTime):
     sin: nn.Parameter = parameter("", at_least=-0.9, at_most=0.9)
     cos_um: nn.Parameter = parameter("µm", at_least=-1e3, at_most=1e3)
     sin_um: nn.Parameter = parameter("µm", at_least=-1e3, at_most=1e3)
-    knot_spacing_s: nn.Parameter = SPACING
-    quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
-        KNOT_NAMES, Quantity("", at_least=-0.9, at_most=0.9)
-    )
-    forms = ("multiplicative", "additive", "random walk")
+    forms = ("multiplicative", "additive")
     form_of: ClassVar[dict[str, str]] = {
         **dict.fromkeys(("cos", "sin"), "multiplicative"),
         **dict.fromkeys(("cos_um", "sin_um"), "additive"),
-        **dict.fromkeys(KNOT_NAMES, "random walk"),
     }
-    per_recording = ("cos", "sin", "cos_um", "sin_um", *KNOT_NAMES)
-    kinds = ("knot_spacing_s",)
-    walk = KNOT_NAMES
-
-    def knots(self) -> Tensor:
-        """Return the random walk of the gain at each knot, (KNOTS,)."""
-        return torch.stack([getattr(self, name) for name in KNOT_NAMES])
+    per_recording = ("cos", "sin", "cos_um", "sin_um")
 
     def gain(self, elapsed: Tensor, time: int) -> Tensor:
         """Return 1 + m, (batch, time)."""
-        line = oscillations(elapsed, time, self.sample_period_s, self.frequency_hz, self.cos, self.sin)
-        walk = through_knots(elapsed, time, self.sample_period_s, self.knot_spacing_s, self.knots())
-        return 1 + line + walk
+        return 1 + oscillations(elapsed, time, self.sample_period_s, self.frequency_hz, self.cos, self.sin)
 
     def forward(
         self,
@@ -91,8 +75,7 @@ class GainModulation(InTime):
 
     def stream(self) -> nn.Module:
         lines = (self.frequency_hz, self.cos, self.sin, self.cos_um, self.sin_um)
-        numbers = [one.item() for one in (*lines, self.knot_spacing_s)]
-        return StepStream(modulation_step, [self.sample_period_s, *numbers, *self.knots().tolist()], 1)
+        return StepStream(modulation_step, [self.sample_period_s, *(one.item() for one in lines)], 1)
 
     @torch.no_grad()
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
@@ -100,7 +83,7 @@ class GainModulation(InTime):
 
     @classmethod
     def line_hz(cls, values: Mapping[str, float]) -> float | None:
-        return values.get("frequency_hz")  # a random walk has none
+        return values.get("frequency_hz")
 
     @classmethod
     def added_line_hz(cls, values: Mapping[str, float]) -> float | None:
@@ -110,7 +93,7 @@ class GainModulation(InTime):
     def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0:
             return []
-        return [*cls.starts_at(seen, STARTS_HZ, STARTS_HZ), *walk_start(seen, 0.01, "")]
+        return cls.starts_at(seen, STARTS_HZ, STARTS_HZ)
 
     @classmethod
     def starts_at(

@@ -1,8 +1,8 @@
 """Drift in absolute time, of a stage that warms up: y = x + A (1 - e^{-t/τ}) + ρ t, t from the first sample.
 
 ΔL = L₀ α ΔT, where the temperature is that of one heat capacity behind one thermal resistance (A, τ), or is
-still far from settling (ρ), or is that of a room, which wanders: a random walk through knots in each
-recording (`torchpi.stage.effects.knots`).
+still far from settling (ρ). That of a room wanders, and no equation predicts it: see
+`torchpi.diagnosis.wandering`.
 """
 
 import math
@@ -15,12 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.base import StepStream
-from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal, sampled
 from torchpi.stage.effects.effect import DataRange, Parameters, parameter
-from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk_at, walk_start
 
-KNOT_NAMES = knot_names("_um")
 QUICKEST = 0.01
 """Share of a recording: faster settling began before it and is not counted (`torchpi.diagnosis.start_up`)."""
 
@@ -31,8 +28,8 @@ def drift(t_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s
 
 
 def drift_step(x: float, n: list[float], s: list[float]) -> float:
-    """Return x plus the drift; n holds T, A, τ, ρ, the knots' spacing and the knots, s the samples so far."""
-    added = drift(s[0] * n[0], n[1], n[2], n[3]) + walk_at(s[0], n, 4)
+    """Return x plus the drift; n holds T, A, τ and ρ, s the samples so far."""
+    added = drift(s[0] * n[0], n[1], n[2], n[3])
     s[0] += 1.0
     return x + added
 
@@ -56,48 +53,31 @@ def _moved(
 
 
 class ThermalDrift(AddedSignal):
-    """A drift that settles, goes on, wanders, or all of it; how far is another number in each recording.
+    """A drift that settles, goes on, or both; how far is another number in each recording.
 
     The drift of one recording predicts nothing about the next, which has none without values of its own.
     """
 
     name = "thermal_drift"
     block = "sensor"
-    equation = "y = x + A (1 - e^{-t/τ}), or + ρ t, or + a random walk"
+    equation = "y = x + A (1 - e^{-t/τ}), or + ρ t"
     signature = "slow, a function of absolute time: does not follow the last move"
     time_scale = "slow"
     degenerate_with = ("leakage", "creep")
     amplitude_um: nn.Parameter = parameter("µm", at_least=-1e4, at_most=1e4)
     time_constant_s: nn.Parameter = parameter("s", at_least=1e-5, at_most=1e6, identity=60.0)
     rate_um_per_s: nn.Parameter = parameter("µm/s", at_least=-1e3, at_most=1e3)
-    knot_spacing_s: nn.Parameter = SPACING
-    quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
-        KNOT_NAMES, Quantity("µm", at_least=-1e4, at_most=1e4)
-    )
-    forms = ("exponential", "linear", "random walk")
-    form_of: ClassVar[dict[str, str]] = {
-        "amplitude_um": "exponential",
-        "rate_um_per_s": "linear",
-        **dict.fromkeys(KNOT_NAMES, "random walk"),
-    }
-    per_recording = ("amplitude_um", "rate_um_per_s", *KNOT_NAMES)
-    kinds = ("knot_spacing_s",)
-    walk = KNOT_NAMES
-
-    def knots(self) -> Tensor:
-        """Return the random walk at each knot, (KNOTS,), µm."""
-        return torch.stack([getattr(self, name) for name in KNOT_NAMES])
+    forms = ("exponential", "linear")
+    form_of: ClassVar[dict[str, str]] = {"amplitude_um": "exponential", "rate_um_per_s": "linear"}
+    per_recording = ("amplitude_um", "rate_um_per_s")
 
     def added(self, elapsed: Tensor, time: int) -> Tensor:
         parameters = (self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
-        settling = sampled(_moved, self.of_tensors, elapsed, time, self.sample_period_s, parameters)
-        walk = through_knots(elapsed, time, self.sample_period_s, self.knot_spacing_s, self.knots())
-        return settling + walk
+        return sampled(_moved, self.of_tensors, elapsed, time, self.sample_period_s, parameters)
 
     def stream(self) -> nn.Module:
-        settling = (self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
-        numbers = [one.item() for one in (*settling, self.knot_spacing_s)]
-        return StepStream(drift_step, [self.sample_period_s, *numbers, *self.knots().tolist()], 1)
+        parameters = (self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
+        return StepStream(drift_step, [self.sample_period_s, *(one.item() for one in parameters)], 1)
 
     @staticmethod
     def of_tensors(t_s: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
@@ -115,5 +95,4 @@ class ThermalDrift(AddedSignal):
         return [
             {"rate_um_per_s": min(size / duration_s, cls.quantities["rate_um_per_s"].at_most)},
             *({"amplitude_um": size, "time_constant_s": part * duration_s} for part in (0.05, 0.2, 1.0)),
-            *walk_start(seen, size, "_um"),
         ]
