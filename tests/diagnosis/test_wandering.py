@@ -14,7 +14,12 @@ from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import NamedEffect
 from torchpi.diagnosis.repeats import Repeats
 from torchpi.diagnosis.walks import CELLS
-from torchpi.diagnosis.wandering import of_the_whole, wandering, with_wandering
+from torchpi.diagnosis.wandering import (
+    of_the_whole,
+    of_what_does_not_repeat,
+    wandering,
+    with_wandering,
+)
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -178,11 +183,20 @@ def of_a_zero_that_ages(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def of_a_zero_that_jumps(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return 0.1 * (np.abs(np.arange(TIME) / TIME - 0.4) < 1 / 16)
+    """Between two values, eleven times."""
+    return 0.1 * (np.searchsorted(np.sort(rng.integers(0, TIME, 11)), np.arange(TIME)) % 2)
+
+
+def of_a_zero_that_wanders_for_a_while(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return 0.1 * walk(rng) * (np.abs(np.arange(TIME) / TIME - 0.4) < 1 / 16)
 
 
 def of_a_zero_within_the_noise(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return 0.7 * NOISE_UM * walk(rng)
+
+
+def of_a_zero_that_returns_within_a_few_means(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return lfilter([0.1], [1, -0.92], rng.normal(size=TIME))
 
 
 OTHERS = [
@@ -195,7 +209,9 @@ OTHERS = [
     of_a_gain_within_the_noise,
     of_noise,
     of_a_zero_that_ages,
+    of_a_zero_that_returns_within_a_few_means,
     of_a_zero_that_jumps,
+    of_a_zero_that_wanders_for_a_while,
     of_a_zero_within_the_noise,
 ]
 
@@ -212,6 +228,14 @@ def test_no_other_residual_is_a_gain_that_wanders(of: Residual, noise_um: float)
 @pytest.mark.parametrize("noise_um", [NOISE_UM, 0.0])
 def test_no_other_residual_wanders_where_the_voltage_repeats(of: Residual, noise_um: float) -> None:
     assert wandering(*left(of, repeating), noise_um) is None
+
+
+def test_nothing_is_said_where_only_a_little_of_the_voltage_repeats() -> None:
+    again = np.tile(5 - 5 * np.cos(np.linspace(0, 2 * np.pi, 90, endpoint=False)), 2)
+    moving = np.concatenate([motions()[0][: -len(again)], again])
+    records, fit = left(of_a_zero, lambda: [moving])
+    assert records[0].coefficients.repeats.apart.any()
+    assert of_what_does_not_repeat(records, fit.residuals, NOISE_UM) is None
 
 
 def test_the_sealed_samples_decide_nothing() -> None:

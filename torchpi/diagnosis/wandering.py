@@ -36,6 +36,9 @@ AT_MOST = 3000
 """Number of means of each recording from which a filter starts to cost more than it shows."""
 SLOW = 20 * CELLS
 """The same for what does not repeat with the voltage, where any slow signal would be a wandering zero."""
+REPEATS = 0.25
+"""Share of a recording's means that have to come again, or too little of a walk is seen: a third of a period,
+repeated."""
 LEAST_NOISE = 1e-16
 """Variance of the noise below which none is assumed, over that of the travel."""
 LAGS = 2 ** np.arange(6)
@@ -86,12 +89,12 @@ def with_wandering(
     retuned: Fit,
     final: Fit,
     noise: Noise | None,
-    effects: Collection[type[Described]] = WANDERS,
+    tried: Collection[type[Described]] = WANDERS,
 ) -> tuple[Decision, Wandering | None]:
     """Name that one of these effects which the residual shows to wander, if it is not named already. No stage
     can predict it from the voltage, so it explains its share, but the verdict is not "explained"."""
     there = {one.name for one in decision.effects}
-    wanted = [effect for effect in WANDERS if effect in effects and effect.name not in there]
+    wanted = [effect for effect in WANDERS if effect in tried and effect.name not in there]
     found = wandering(records, final, noise.rms_um if noise is not None else 0.0) if wanted else None
     if found is None or found.effect not in wanted or there & {*found.alternatives}:
         return decision, None
@@ -100,12 +103,11 @@ def with_wandering(
     left = decision.unexplained_share if measured else (final.train_rms / retuned.train_rms) ** 2
     share = left * found.share
     others = [replace(one, share=one.share * (1.0 if measured else 1.0 - share)) for one in decision.effects]
+    effects = sorted([*others, replace(found.named, share=share)], key=lambda one: -one.share)
     named = replace(
         decision,
         verdict="partly_explained",
-        effects=tuple(
-            sorted([*others, replace(found.named, share=share)], key=lambda one: -one.share),
-        ),
+        effects=tuple(effects),
         open=tuple(one for one in decision.open if one.name != found.effect.name),
         unexplained_share=decision.unexplained_share * (1.0 - found.share),
     )
@@ -130,23 +132,22 @@ def wandering(records: Sequence[Record], final: Fit, noise_um: float) -> Wanderi
 def of_what_does_not_repeat(
     records: Sequence[Record], residuals: Sequence[np.ndarray], noise_um: float
 ) -> Wandering | None:
-    """Return the gain or the zero that wanders in what does not repeat with the voltage, if it predicts
-    better than neither and exceeds the noise; where the other may take its place, this is an alternative. A
-    zero that jumps does not wander."""
+    """Return the gain or the zero that wanders in what does not repeat with the voltage, if it exceeds the
+    noise, with the other as alternative where that may take its place. A zero that jumps does not wander."""
     scale = Scale.of(records, noise_um, SLOW)
     parts = [scale.apart(record, e) for record, e in zip(records, residuals, strict=True)]
     left = [
-        scale.left(record, apart, again, rows)
+        one
         for record, (apart, again, rows) in zip(records, parts, strict=True)
-        if again.any()
+        if np.isfinite((one := scale.left(record, apart, again, rows)).e).mean() > REPEATS
     ]
     if not left:
         return None
-    found, neither = Comparison.of(left, scale.noise), Walks.of(left, scale.noise, 0.0, 0.0)
+    found = Comparison.of(left, scale.noise)
     of_gain = found.of_gain.nats > found.added.nats
     walk, other = (found.of_gain, found.added) if of_gain else (found.added, found.of_gain)
     told_apart = better(walk, other)
-    if not better(walk, neither) or (jumps(found.added) and not (of_gain and told_apart)):
+    if jumps(found.added) and not (of_gain and told_apart):
         return None
     shown = [
         scale.left(r, apart, all_of(r), rows) for r, (apart, _, rows) in zip(records, parts, strict=True)
@@ -160,12 +161,11 @@ def of_what_does_not_repeat(
     there = (added != 0.0) | (rest != 0.0)
     if robust_sd(added[there]) < robust_sd(rest[there]):
         return None
-    evidence = found.evidence_of_gain() if told_apart else float(of_gain)
     effects = (GainModulation, ThermalDrift) if of_gain else (ThermalDrift, GainModulation)
     return Wandering(
         effects[0],
         () if told_apart else (effects[1].name,),
-        round(trust(walk.predicted * (evidence if of_gain else 1.0 - evidence)), 4),
+        round(trust(walk.predicted), 4),
         min(mean_square(added) / max(mean_square(whole), 1e-300), 1.0),
         scale.rms(adds, left if of_gain else []),
         adds,
@@ -248,12 +248,8 @@ class Scale:
 
     def rms(self, adds: Sequence[np.ndarray], of_gain: Sequence[Left]) -> float:
         """Return the rms of what is added, in µm, or over that of the displacement if a gain adds it."""
-        added_um = sqrt(mean_square(np.concatenate(adds)))
-        return (
-            added_um / (self.span_um * sqrt(mean_square(np.concatenate([one.x for one in of_gain]))))
-            if of_gain
-            else added_um
-        )
+        added_um, x = sqrt(mean_square(np.concatenate(adds))), [one.x for one in of_gain]
+        return added_um / (self.span_um * sqrt(mean_square(np.concatenate(x)))) if x else added_um
 
 
 def all_of(record: Record) -> np.ndarray:
