@@ -90,12 +90,6 @@ class Haar:
             else (coarsest * 2 ** (self.levels - level), coarsest * 2 ** (self.levels - level + 1))
         )
 
-    def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """Return the kept coefficients, (rows, kept), of rows, (rows, time)."""
-        out = np.empty((len(rows), len(self.kept)))
-        self.write(rows, out, np.arange(len(self.kept)))
-        return out
-
     def write(self, rows: np.ndarray, out: np.ndarray, columns: np.ndarray) -> None:
         """Write the kept coefficients of rows, (rows, time), to columns, (kept,), of `out`, (rows, …)."""
         _kept(rows, self.valid, self.levels, self.kept, columns, out)
