@@ -177,6 +177,16 @@ def test_what_a_gain_adds_to_a_nearly_constant_displacement_may_be_a_zero_as_wel
     assert with_wandering(either, records, fit, fit, None) == (either, None)
 
 
+def of_a_sway(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return 0.1 * np.sin(2 * np.pi * 5.3 * np.arange(TIME) / TIME)
+
+
+def test_a_zero_that_sways_at_one_frequency_may_be_a_modulation() -> None:
+    found = wandering(*left(of_a_sway, repeating), NOISE_UM)
+    assert found is not None and found.effect is ThermalDrift
+    assert found.alternatives == ("gain_modulation",)
+
+
 def of_a_zero_that_ages(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     age = np.linspace(0, 1, TIME)
     return 0.1 * age - 0.1 * np.log(0.01 + age)

@@ -29,7 +29,7 @@ from torchpi.diagnosis.sealed import mean_square
 from torchpi.diagnosis.walks import CELLS, Comparison, Left, Walks
 from torchpi.recordings.faults import robust_sd
 from torchpi.stage.effects.effect import Described, Effect
-from torchpi.stage.effects.sensor.gain_modulation import GainModulation
+from torchpi.stage.effects.sensor.gain_modulation import FEWEST_PERIODS, GainModulation
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 AT_MOST = 3000
@@ -48,6 +48,10 @@ EARLY = 0.01
 JUMPS = 0.15
 """Share of a walk's squared increments in their largest hundredth, from which it jumps rather than wanders:
 twice that of normal increments."""
+CYCLES = np.arange(FEWEST_PERIODS, SLOW / 8, 0.25)
+"""Periods in a recording of the lines that a wandering zero may be."""
+LINE = 0.6
+"""Share of what a zero adds from which one line may cause it: a random walk has it once in twenty-five."""
 WANDERS: tuple[type[Effect], ...] = (ThermalDrift, GainModulation)
 
 
@@ -133,7 +137,8 @@ def of_what_does_not_repeat(
     records: Sequence[Record], residuals: Sequence[np.ndarray], noise_um: float
 ) -> Wandering | None:
     """Return the gain or the zero that wanders in what does not repeat with the voltage, if it exceeds the
-    noise, with the other as alternative where that may take its place. A zero that jumps does not wander."""
+    noise. The other is an alternative where that may take its place; so is a modulation where a zero seems to
+    have one frequency. A zero that jumps does not wander."""
     scale = Scale.of(records, noise_um, SLOW)
     parts = [scale.apart(record, e) for record, e in zip(records, residuals, strict=True)]
     left = [
@@ -162,9 +167,10 @@ def of_what_does_not_repeat(
     if robust_sd(added[there]) < robust_sd(rest[there]):
         return None
     effects = (GainModulation, ThermalDrift) if of_gain else (ThermalDrift, GainModulation)
+    or_other = not told_apart or (not of_gain and like_a_line(records, adds))
     return Wandering(
         effects[0],
-        () if told_apart else (effects[1].name,),
+        (effects[1].name,) if or_other else (),
         round(trust(walk.predicted), 4),
         min(mean_square(added) / max(mean_square(whole), 1e-300), 1.0),
         scale.rms(adds, left if of_gain else []),
@@ -271,6 +277,20 @@ def jumps(walks: Walks) -> bool:
     squares = np.sort(np.concatenate(steps) ** 2)
     largest = squares[-max(len(squares) // 100, 1) :]
     return float(largest.sum()) > JUMPS * float(squares.sum())
+
+
+def like_a_line(records: Sequence[Record], adds: Sequence[np.ndarray]) -> bool:
+    """Whether one line in each recording explains most of what a zero adds there, (time,), as far as neither
+    repeats with the voltage."""
+    left = 0.0
+    for record, added in zip(records, adds, strict=True):
+        along, rests = 2j * np.pi * np.arange(len(added)) / len(added), []
+        for wave in (np.exp(cycles * along) for cycles in CYCLES):
+            rows = record.coefficients.repeats.less_mean(np.stack([wave.real, wave.imag]), record.train)
+            rest = added - np.linalg.lstsq(rows.T, added, rcond=None)[0] @ rows
+            rests.append(float(rest @ rest))
+        left += min(rests)
+    return left < (1.0 - LINE) * sum(float(added @ added) for added in adds)
 
 
 def following(x: np.ndarray) -> np.ndarray:
