@@ -109,7 +109,7 @@ def test_the_non_periodic_part_has_its_own_coefficients_beside_those_of_all_read
     energy = [np.bincount(of.kind_of_cell[of.cell], of(e[None])[0] ** 2) for e in (repeated, ramp)]
     assert energy[0][APART] < 1e-20 * energy[0][PLAIN] and energy[1][APART] > 1e-3 * energy[1].sum()
     (_, readings, places) = of.pieces[0]
-    assert np.array_equal(of(one.y[None])[:, places], readings(one.y[None]))
+    assert np.array_equal(of(one.y[None])[:, places], readings.full(one.y[None])[:, readings.kept])
 
 
 def test_without_repeats_only_the_readings_have_coefficients() -> None:
