@@ -95,12 +95,9 @@ class Screen:
             },
         )
 
-    def solved(self, member: EffectTerm) -> EffectTerm:
-        """Give each signed number of a member the value that explains most, to first order in all of them."""
-        return self.with_solved(member, self.off_tangent(self.directions(member)))
-
     def with_solved(self, member: EffectTerm, off_tangent: np.ndarray) -> EffectTerm:
-        """Do the same where the directions of the member, (directions, coefficients), are known."""
+        """Give each signed number of a member, with directions (directions, coefficients), the value that
+        explains most, to first order in all of them."""
         alive, factors = np.linalg.norm(off_tangent, axis=1) > 0.0, np.zeros(len(off_tangent))
         factors[alive] = self.coefficients(off_tangent[alive])
         return scaled(member, dict(zip(signed_numbers(member), factors.tolist(), strict=True)))
