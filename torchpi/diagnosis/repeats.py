@@ -140,9 +140,7 @@ class Repeats:
         found = np.full(len(e) - self.samples, np.nan)
         for (start, stop, period), end in zip(self.stretches.tolist(), self.go_on.tolist(), strict=True):
             phase, valid = (np.arange(start, end) - start) % period, self.valid[start:stop]
-            before = phase[: stop - start][valid]
-            number = np.bincount(before, minlength=period)
-            mean = np.bincount(before, e[start:stop][valid], period) / np.maximum(number, 1)
+            number, (mean,) = _means_of_phases(e[None, start:stop], phase[: stop - start], valid, period)
             later = phase[stop - start :]
             n = np.where(number > 0, number, np.nan)[later]
             found[: end - stop] = np.sqrt(n / (n + 1)) * (e[stop:end] - mean[later])
@@ -154,10 +152,9 @@ class Repeats:
         found = np.zeros(rows.shape)
         for one in self.periodic:
             phase, there = np.arange(one.end - one.start) % one.period, counts[one.start : one.end]
-            number = np.bincount(phase[there], minlength=one.period)
-            for out, row in zip(found[:, one.start : one.end], rows[:, one.start : one.end], strict=True):
-                mean = np.bincount(phase[there], row[there], one.period) / np.maximum(number, 1)
-                out[:] = np.where(number[phase] > 1, row - mean[phase], 0.0)
+            within = rows[:, one.start : one.end]
+            number, mean = _means_of_phases(within, phase, there, one.period)
+            found[:, one.start : one.end] = np.where(number[phase] > 1, within - mean[:, phase], 0.0)
         return found
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
@@ -165,6 +162,16 @@ class Repeats:
         out = np.zeros((len(rows), self.samples))
         _less_later(rows, self.valid, self.stretches, np.empty(self.samples, dtype=np.bool_), out)
         return out
+
+
+def _means_of_phases(
+    rows: np.ndarray, phase: np.ndarray, counts: np.ndarray, period: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the number of samples that count, (time,) of bool, at each phase, (period,), and the means of
+    rows, (rows, time), over them, (rows, period)."""
+    number = np.bincount(phase[counts], minlength=period)
+    sums = np.stack([np.bincount(phase[counts], row[counts], period) for row in rows])
+    return number, sums / np.maximum(number, 1)
 
 
 @numba.njit(cache=True)

@@ -52,7 +52,7 @@ class Left:
 
 @dataclass(frozen=True, eq=False)
 class Walks:
-    """A model of what is left: a walk of the gain, of an added signal, both, or neither."""
+    """A model of what is left: a walk of the gain, of an added signal, or both."""
 
     gain_step: float
     added_step: float
