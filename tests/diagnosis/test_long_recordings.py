@@ -5,6 +5,7 @@ import pytest
 
 from torchpi.diagnosis import diagnose, long_recordings
 from torchpi.diagnosis.long_recordings import at_a_lower_rate, rings_above
+from torchpi.diagnosis.readings import Readings
 from torchpi.diagnosis.records import prepare
 from torchpi.recordings.recording import Recording
 
@@ -102,6 +103,36 @@ def test_the_command_of_the_previous_tick_is_one_controller_tick_back_and_not_on
     np.testing.assert_allclose(record.commanded(1)[7], one.u[34:39].mean(), rtol=1e-12)
     np.testing.assert_allclose(record.commanded(0)[7], one.u[35:40].mean(), rtol=1e-12)
     np.testing.assert_allclose(record.simulated[-1][7], one.simulated[36:41].mean(), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("first", "across"), [(20_001, [5000]), (20_000, [4999, 5000]), (0, [])])
+def test_means_across_a_step_do_not_count_at_any_convention_of_timing(monkeypatch, first, across):
+    monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
+    one = recording(40_000)
+    if first:
+        one.u[:] = np.where(np.arange(40_000) < first, 1.0, 4.0) + 0.1 * (np.arange(40_000) < 100)
+    readings = Readings.of([one])
+    assert [each.tolist() for each in readings.out] == [across]
+    (record,) = readings.records()
+    assert not record.train[across].any() and record.train.sum() + record.held_out.sum() == 10_000 - len(
+        across
+    )
+    assert ("Means across a step of the voltage do not count." in readings.notes) == bool(across)
+    assert [each.tolist() for each in readings.apart] == [[]]
+
+
+def test_no_lag_is_named_where_means_straddle_the_steps_of_a_stage_that_reads_before_it_writes(monkeypatch):
+    """The mean of what a hysteresis makes of two voltages is not what it makes of their mean."""
+    monkeypatch.setattr(long_recordings, "AT_MOST", 6_000)
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.uniform(0.0, 8.0, 600), 20)
+    r, h, y = np.linspace(0.0, 4.0, 20), np.zeros(20), np.empty(len(u))
+    for k, v in enumerate(np.append(u[0], u[:-1])):
+        h = np.maximum(v - r, np.minimum(v + r, h))
+        y[k] = h.sum() / 20
+    one = Recording("late", np.arange(len(u)) / 1e4, u, y + 1e-3 * rng.standard_normal(len(u)), 1e4)
+    found = diagnose([one])
+    assert [effect.name for effect in found.effects] == [] and found.stage.alignment == 1
 
 
 def test_no_lag_is_named_in_a_long_recording_that_reads_before_it_writes(monkeypatch):

@@ -16,7 +16,8 @@ LEAST = 2_000
 """Recordings that would be reduced to fewer samples stay as they are."""
 FAST = 0.05
 """Ratio of a voltage's rms within the blocks of means to its own rms, above which it is too fast for means:
-of a sine they lose about half the ratio's square, here 0.1 %, at each turning point."""
+of a sine they lose about half the ratio's square, here 0.1 %, at each turning point. The same ratio of ranges
+from which a single mean does not count."""
 SEGMENT = 4096
 """Number of samples per segment of a spectrum."""
 ABOVE = 3.0
@@ -85,6 +86,18 @@ def fast(u: np.ndarray, factor: int) -> bool:
     blocks = u[: len(u) // factor * factor].astype(np.float64).reshape(-1, factor)
     within = blocks - blocks.mean(1, keepdims=True)
     return bool(within.std() > FAST * blocks.std())
+
+
+def across_steps(u: np.ndarray, factor: int) -> np.ndarray:
+    """Return the indices of the means over `factor` samples of a voltage, (time,), in which it moves far, or
+    would if it came a sample earlier or later: a hysteresis is curved, so that the mean of its output is not
+    its output at the mean."""
+    samples = len(u) // factor * factor
+    moved = [
+        np.ptp(u[np.clip(np.arange(samples) - late, 0, len(u) - 1)].reshape(-1, factor), axis=1)
+        for late in (-1, 0, 1)
+    ]
+    return np.flatnonzero(np.max(moved, axis=0) > FAST * np.ptp(u))
 
 
 def rings_above(recording: Recording, factor: int) -> bool:

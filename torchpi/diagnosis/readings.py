@@ -7,7 +7,7 @@ import numpy as np
 
 from torchpi.diagnosis.clock import MOST_SEEN, at_their_ticks
 from torchpi.diagnosis.hypothesis import Fit
-from torchpi.diagnosis.long_recordings import at_a_lower_rate
+from torchpi.diagnosis.long_recordings import across_steps, at_a_lower_rate
 from torchpi.diagnosis.records import SEALED, Record, not_counting, prepare
 from torchpi.diagnosis.wrong_readings import wrong_readings
 from torchpi.recordings.recording import Recording
@@ -22,12 +22,23 @@ class Readings:
     """The same, long ones at a lower rate."""
     out: Sequence[np.ndarray]
     """(readings,) for each recording: the indices of those that do not count."""
+    across: Sequence[np.ndarray]
+    """(readings,) for each recording: those among them that are means across a step of the voltage."""
     notes: tuple[str, ...]
     """Sentences on what was reduced."""
 
     @classmethod
     def of(cls, given: Sequence[Recording]) -> "Readings":
-        return cls(given, *at_a_lower_rate(given, [not_counting(each) for each in given]))
+        recordings, out, notes = at_a_lower_rate(given, [not_counting(each) for each in given])
+        factors = [round(whole.fs_hz / one.fs_hz) for whole, one in zip(given, recordings, strict=True)]
+        across = [
+            across_steps(whole.u, factor) if factor > 1 else np.zeros(0, int)
+            for whole, factor in zip(given, factors, strict=True)
+        ]
+        out = [np.union1d(one, more).astype(int) for one, more in zip(out, across, strict=True)]
+        if any(map(len, across)):
+            notes = (*notes, "Means across a step of the voltage do not count.")
+        return cls(given, recordings, out, across, notes)
 
     def records(self, sealed: float = SEALED) -> list[Record]:
         """Prepare the recordings, with this share of each sealed."""
@@ -40,7 +51,10 @@ class Readings:
     @property
     def apart(self) -> list[np.ndarray]:
         """(readings,) for each recording: those that do not count although they were read."""
-        return [np.setdiff1d(each, one.not_read) for each, one in zip(self.out, self.recordings, strict=True)]
+        return [
+            np.setdiff1d(each, np.union1d(one.not_read, across))
+            for each, one, across in zip(self.out, self.recordings, self.across, strict=True)
+        ]
 
     def masked(self, wrong: Sequence[np.ndarray]) -> tuple[str, ...]:
         """Return a sentence for each recording with readings that do not count, besides the wrong ones."""
