@@ -59,6 +59,7 @@ def left(
     records = [
         SimpleNamespace(
             y=x + e,
+            aux={},
             train=counts,
             held_out=~counts,
             period_s=1e-3,
@@ -154,6 +155,18 @@ def test_a_zero_that_wanders_is_found_beneath_what_repeats_with_the_voltage(nois
     for added, e, x in zip(found.adds, fit.residuals, repeating(), strict=True):
         wanders = e - 0.4 * np.sin(3 * x)
         assert np.corrcoef(added[100:], wanders[100:])[0, 1] > 0.8
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_zero_that_follows_another_recorded_signal_does_not_wander(follows: bool) -> None:
+    records, fit = left(of_noise, repeating)
+    rng = np.random.default_rng(6)
+    for one, e in zip(records, fit.residuals, strict=True):
+        other = walk(rng)
+        e += 0.1 * other**2 + 0.01 * one.y * other
+        one.y += 0.1 * other**2 + 0.01 * one.y * other
+        one.aux = {"aux_v": other if follows else walk(rng), "unplugged": np.zeros(TIME)}
+    assert (wandering(records, fit, NOISE_UM) is None) == follows
 
 
 def test_it_is_not_looked_for_where_the_voltage_does_not_repeat() -> None:

@@ -120,8 +120,11 @@ def posterior(
         if reached:
             known, shown = share_explained(search, models[0].fit, without, name, own, recorded)
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
+        right = trust(known)
+        if not own and name != OPERATOR_NAME:
+            right *= beyond_sealed_error(rise, models[0].fit, weighting.mean_floor_um2)
         if len(names) > 1:
-            together.append(Believed(name, held * trust(known), (), rise, (), shown))
+            together.append(Believed(name, held * right, (), rise, (), shown))
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
@@ -130,7 +133,7 @@ def posterior(
         found.append(
             Believed(
                 name,
-                round(min(held, 1.0) * trust(known), 4),
+                round(min(held, 1.0) * right, 4),
                 tuple(dict.fromkeys(alternatives)),
                 rise,
                 tuple(rivals),
@@ -303,6 +306,14 @@ def share_explained(
     if own_signal or slow or one_motion(records):
         return share, share
     return share, confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)
+
+
+def beyond_sealed_error(explained_um2: float, final: Fit, floor_um2: float) -> float:
+    """Return the probability that what an effect explains is no part of the error of a fit that only the
+    sealed samples show: the error of its hysteresis, of the forms of its effects, or of both. An effect that
+    explains less may have been fitted to the same error where it does not show."""
+    error_um2 = max(final.heldout_rms**2 - max(final.train_rms**2, floor_um2), 0.0)
+    return float(1 / (1 + (error_um2 / max(explained_um2, 1e-300)) ** FALL))
 
 
 def with_overtones(

@@ -52,6 +52,8 @@ CYCLES = np.arange(FEWEST_PERIODS, SLOW / 8, 0.25)
 """Periods in a recording of the lines that a wandering zero may be."""
 LINE = 0.6
 """Share of what a zero adds from which one line may cause it: a random walk has it once in twenty-five."""
+FOLLOWS = 0.5
+"""Share of what does not repeat from which other recorded signals cause it, by whatever law."""
 WANDERS: tuple[type[Effect], ...] = (ThermalDrift, GainModulation)
 
 
@@ -138,7 +140,7 @@ def of_what_does_not_repeat(
 ) -> Wandering | None:
     """Return the gain or the zero that wanders in what does not repeat with the voltage, if it exceeds the
     noise. The other is an alternative where that may take its place; so is a modulation where a zero seems to
-    have one frequency. A zero that jumps does not wander."""
+    have one frequency. A zero that jumps does not wander, nor does what follows another recorded signal."""
     scale = Scale.of(records, noise_um, SLOW)
     parts = [scale.apart(record, e) for record, e in zip(records, residuals, strict=True)]
     left = [
@@ -146,7 +148,7 @@ def of_what_does_not_repeat(
         for record, (apart, again, rows) in zip(records, parts, strict=True)
         if np.isfinite((one := scale.left(record, apart, again, rows)).e).mean() > REPEATS
     ]
-    if not left:
+    if not left or follow_another(records, [apart for apart, *_ in parts]):
         return None
     found = Comparison.of(left, scale.noise)
     of_gain = found.of_gain.nats > found.added.nats
@@ -291,6 +293,22 @@ def like_a_line(records: Sequence[Record], adds: Sequence[np.ndarray]) -> bool:
             rests.append(float(rest @ rest))
         left += min(rests)
     return left < (1.0 - LINE) * sum(float(added @ added) for added in adds)
+
+
+def follow_another(records: Sequence[Record], parts: Sequence[np.ndarray]) -> bool:
+    """Whether other recorded signals, with their squares and their products with the displacement, predict
+    most of those parts of the residuals, (time,) each, µm, that do not repeat with the voltage."""
+    if not records[0].aux:
+        return False
+    left = whole = 0.0
+    for record, part in zip(records, parts, strict=True):
+        signals = np.array([*record.aux.values()])
+        others = np.concatenate([signals, signals**2])
+        rows = np.concatenate([others, (record.y - record.y.mean()) * others])
+        rows = record.coefficients.repeats.less_mean(rows, record.train) * (part != 0.0)
+        rest = part - np.linalg.lstsq(rows.T, part, rcond=None)[0] @ rows
+        left, whole = left + float(rest @ rest), whole + float(part @ part)
+    return left < (1.0 - FOLLOWS) * whole
 
 
 def following(x: np.ndarray) -> np.ndarray:
