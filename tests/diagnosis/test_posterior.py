@@ -1,6 +1,6 @@
 """Probabilities: weights of hypotheses that are compared cell by cell."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from tests.diagnosis.plants import FS_HZ, lag, pair
 from tests.diagnosis.prepared import prepared
@@ -43,6 +44,7 @@ from torchpi.diagnosis.posterior import (
 )
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model
+from torchpi.recordings.recording import Recording
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.actuator.ageing import Ageing
 from torchpi.stage.effects.actuator.creep import Creep
@@ -296,14 +298,37 @@ def test_the_error_of_the_sealed_samples_bears_only_on_effects_without_a_signal_
     assert [effect.name for effect in diagnose(pair(2000, after=lagging)).effects] == [Hum.name]
 
 
-@pytest.mark.parametrize("independent", [True, False])
-def test_only_a_recorded_signal_independent_of_the_voltage_is_a_signal_of_its_own(independent: bool) -> None:
-    rig = pair(2000)
-    noise = np.random.default_rng(3)
-    rig = [
-        replace(one, aux={"aux_v": noise.normal(size=len(one)) if independent else one.u + 0.01 * one.y})
-        for one in rig
-    ]
+def noise_beside(one: Recording, rng: np.random.Generator) -> np.ndarray:
+    return rng.normal(size=len(one))
+
+
+def slow_motion_beside(one: Recording, rng: np.random.Generator) -> np.ndarray:
+    """As slow as the voltage, so that a hundred plays predict half of it by chance."""
+    return lfilter([1.0], [1.0, -0.995], rng.normal(size=len(one)))
+
+
+def monitor_of_the_voltage(one: Recording, rng: np.random.Generator) -> np.ndarray:
+    return one.u + 0.01 * one.y
+
+
+def a_second_sensor(one: Recording, rng: np.random.Generator) -> np.ndarray:
+    return one.y + rng.normal(size=len(one))
+
+
+@pytest.mark.parametrize(
+    ("beside", "independent"),
+    [
+        (noise_beside, True),
+        (slow_motion_beside, True),
+        (monitor_of_the_voltage, False),
+        (a_second_sensor, False),
+    ],
+)
+def test_only_a_recorded_signal_independent_of_the_voltage_is_a_signal_of_its_own(
+    beside: Callable[[Recording, np.random.Generator], np.ndarray], independent: bool
+) -> None:
+    rng = np.random.default_rng(3)
+    rig = [replace(one, aux={"aux_v": beside(one, rng)}) for one in pair(2000)]
     chain = Chain(prepared(rig))
     h = Hypothesis(plain(seen(chain.records)))
     coupled = h.plus(EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.1}, aux="aux_v"))

@@ -15,6 +15,9 @@ HARMONICS = 3
 """Number of harmonics of a line that may stand out."""
 PREDICTED = 0.5
 """Share of a recorded signal's variance that the voltage may predict for it to be a signal of its own."""
+SMALL = 0.01
+"""Size, over that of the largest, below which principal components of the plays' states are left out of that
+prediction: there are a hundred, and all together they predict half of any slow signal by chance."""
 
 
 def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str) -> bool:
@@ -43,7 +46,8 @@ def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
             rows = chain.rows(h, i)[:, record.train]
             rows = np.concatenate([rows, np.gradient(record.commanded(0))[None, record.train]])
             rows = rows - rows.mean(1, keepdims=True)
-            weights = np.linalg.lstsq(rows.T, aux, rcond=1e-6)[0]
+            rows /= np.maximum(rows.std(1, keepdims=True), 1e-300)
+            weights = np.linalg.lstsq(rows.T, aux, rcond=SMALL)[0]
             predicted += float(((weights @ rows) ** 2).sum())
             whole += float(aux @ aux)
         if predicted > PREDICTED * whole:
