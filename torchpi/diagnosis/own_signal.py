@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.lines import STANDS_OUT, above_surroundings
 from torchpi.diagnosis.noise import bridged
-from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.records import Record, seen
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.added_signal import AddedSignal
 
@@ -15,9 +16,6 @@ HARMONICS = 3
 """Number of harmonics of a line that may stand out."""
 PREDICTED = 0.5
 """Share of a recorded signal's variance that the voltage may predict for it to be a signal of its own."""
-SMALL = 0.01
-"""Size, over that of the largest, below which principal components of the plays' states are left out of that
-prediction: there are a hundred, and all together they predict half of any slow signal by chance."""
 
 
 def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str) -> bool:
@@ -36,18 +34,18 @@ def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str)
 def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
     """Whether an effect takes a recorded signal that the voltage does not predict: all other errors of the
     model follow the voltage, and do not look like such a signal."""
-    chain, h = search.chain, final.hypothesis
-    signals = {m.aux for m in h.members if m.effect.name == name and m.effect.takes_aux}
+    chain, members = search.chain, final.hypothesis.members
+    signals = {m.aux for m in members if m.effect.name == name and m.effect.takes_aux}
+    few_plays = Hypothesis(plain(seen(chain.records)))  # a hundred predict half of any slow signal by chance
     for signal in signals:
         predicted = whole = 0.0
         for i, record in enumerate(chain.records):
             aux = record.aux[signal][record.train]
             aux = aux - aux.mean()
-            rows = chain.rows(h, i)[:, record.train]
+            rows = chain.rows(few_plays, i)[:, record.train]
             rows = np.concatenate([rows, np.gradient(record.commanded(0))[None, record.train]])
             rows = rows - rows.mean(1, keepdims=True)
-            rows /= np.maximum(rows.std(1, keepdims=True), 1e-300)
-            weights = np.linalg.lstsq(rows.T, aux, rcond=SMALL)[0]
+            weights = np.linalg.lstsq(rows.T, aux, rcond=1e-6)[0]
             predicted += float(((weights @ rows) ** 2).sum())
             whole += float(aux @ aux)
         if predicted > PREDICTED * whole:
