@@ -170,6 +170,19 @@ def test_the_form_error_of_a_dynamic_effect_is_not_named_rate_dependence(cause: 
     assert chance(strong, [strong, weak], terms) == 1.0
 
 
+@pytest.mark.parametrize("late", [AmplifierLag, SensorLag, Delay])
+def test_a_small_lag_beside_a_mode_has_to_explain_nearly_all_that_the_mode_leaves(late: type[Effect]) -> None:
+    terms = {one.name: EffectTerm(one, {}) for one in (Resonance, late)}
+    mode = Believed(Resonance.name, 1.0, (), 1.0, (), 0.99)
+
+    def of(share: float, known: float) -> float:
+        one = Believed(late.name, 1.0, (), share, (), known)
+        return chance(one, [one, mode], terms)
+
+    assert of(0.004, 0.95) < 0.1 < 0.89 < of(0.3, HALF) < of(0.01, 0.995)
+    assert chance(mode, [mode, Believed(late.name, 1.0, (), 0.1, (), HALF)], terms) == 1.0
+
+
 @given(st.floats(1e-6, 1.0))
 def test_a_small_effect_beside_a_larger_hysteresis_is_doubted_without_its_own_signal(share: float) -> None:
     terms = {"hum": EffectTerm(Hum, {"frequency_hz": 50.0})}

@@ -401,7 +401,8 @@ def form_error(
 
     A larger hysteresis, passed as None, absorbs part of whatever follows the voltage, and its remainder may
     look like anything that does, most of all like an effect that is itself a hysteresis. It looks less like
-    an effect of another kind the larger the share `known` that this effect explains of the residual.
+    an effect of another kind the larger the share `known` that this effect explains of the residual. The same
+    holds for a lag beside a mode, whose damping may have another law.
     """
     if one is None:
         return FORM_ERROR
@@ -414,7 +415,9 @@ def form_error(
     kin = one.effect is not other.effect and (
         shared_out_among(one.effect, other.effect) or other.effect.name in one.effect.left_by
     )
-    return FORM_ERROR if kin else 0.0
+    if kin:
+        return FORM_ERROR
+    return FORM_ERROR / against_half(known) if one.effect.delays and other.effect.rings else 0.0
 
 
 def averaged(density: np.ndarray, priors: np.ndarray, strata: np.ndarray | None = None) -> np.ndarray:
