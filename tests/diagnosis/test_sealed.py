@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.diagnosis.sealed import confirmed
+from torchpi.diagnosis.sealed import confirmed, sealed_error_um2
 
 TRAIN, SEALED = 850, 150
 NOISE_UM2 = 1e-4
@@ -51,6 +51,17 @@ def test_what_is_ignored_on_the_sealed_samples_does_not_increase_a_share() -> No
     both = (0.5, [record()], more, [less], NOISE_UM2, False)
     assert confirmed(*both) == 0.5
     assert confirmed(*both, either_way=True) == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(("beyond", "error_um2"), [(False, 0.04 - 0.01), (True, 0.0)])
+def test_an_error_counts_where_the_sealed_voltages_were_fitted(beyond: bool, error_um2: float) -> None:
+    one, sealed = record(), record().held_out
+    e = np.where(sealed, 0.2, 0.05) * np.where(np.arange(TRAIN + SEALED) % 2, 1.0, -1.0)
+    one.u = np.where(sealed & beyond, one.u + 20.0, one.u)
+    final = SimpleNamespace(residuals=[e], train_rms=0.05)
+    assert sealed_error_um2([one], final, 0.1**2) == pytest.approx(error_um2)
+    assert sealed_error_um2([one], final, 1.0) == 0.0
+    assert sealed_error_um2([one], final, 0.0) == pytest.approx(0.0 if beyond else 0.04 - 0.0025)
 
 
 def test_a_slow_effect_is_tested_beside_a_fast_residual_but_not_beside_a_slow_one() -> None:

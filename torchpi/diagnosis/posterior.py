@@ -29,7 +29,7 @@ from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.repeats import APART, STARTING
 from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, each_of, names_of, prior, settled
 from torchpi.diagnosis.score import ALIKE
-from torchpi.diagnosis.sealed import confirmed
+from torchpi.diagnosis.sealed import confirmed, sealed_error_um2
 from torchpi.diagnosis.search import Round, Search
 from torchpi.diagnosis.timing import is_whole
 
@@ -93,6 +93,7 @@ def posterior(
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     whole = is_whole(search.chain, models[0].fit)
     hidden_by_the_clock = within_the_clock(search, final)
+    sealed_um2 = sealed_error_um2(search.chain.records, models[0].fit, weighting.mean_floor_um2)
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = without_cause(models, name, search.score, weighting.explained_where_it_acts, whole)
         rivals, alternatives = [], []
@@ -121,8 +122,9 @@ def posterior(
             known, shown = share_explained(search, models[0].fit, without, name, own, recorded)
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         right = trust(known)
-        if not own and name != OPERATOR_NAME:
-            right *= beyond_sealed_error(rise, models[0].fit, weighting.mean_floor_um2)
+        scales = {member.effect.time_scale for member in h.members if member.effect.name in names}
+        if not own and scales and "slow" not in scales:
+            right *= beyond_sealed_error(rise, sealed_um2)
         if len(names) > 1:
             together.append(Believed(name, held * right, (), rise, (), shown))
             continue
@@ -308,12 +310,11 @@ def share_explained(
     return share, confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)
 
 
-def beyond_sealed_error(explained_um2: float, final: Fit, floor_um2: float) -> float:
-    """Return the probability that what an effect explains is no part of the error of a fit that only the
-    sealed samples show: the error of its hysteresis, of the forms of its effects, or of both. An effect that
-    explains less may have been fitted to the same error where it does not show."""
-    error_um2 = max(final.heldout_rms**2 - max(final.train_rms**2, floor_um2), 0.0)
-    return float(1 / (1 + (error_um2 / max(explained_um2, 1e-300)) ** FALL))
+def beyond_sealed_error(explained_um2: float, sealed_um2: float) -> float:
+    """Return the probability that what an effect explains is no part of the error that only sealed samples
+    show: that of the hysteresis, or of the forms of other effects. An effect that explains less may have been
+    fitted to the same error where it does not show."""
+    return float(1 / (1 + (sealed_um2 / max(explained_um2, 1e-300)) ** FALL))
 
 
 def with_overtones(

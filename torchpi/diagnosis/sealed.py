@@ -49,18 +49,12 @@ def confirmed(
         slow: Compare means over a sixteenth of the sealed samples: what is faster says nothing about a slow
             effect, whatever causes it.
     """
-    share, reached = known, [record.u[record.train] for record in records]
-    lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
+    share, judged = known, judging_samples(records)
     for part, split in ((1.0 - apart, as_they_are), (apart, what_does_not_repeat)):
         if part == 0.0:
             continue
         gained = changed = left = ignored = here = there = 0.0
-        for i, (record, e) in enumerate(zip(records, more.residuals, strict=True)):
-            within = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
-            beyond = held_at(record.u, record.held_out & ~within)
-            judging = within.copy()
-            for places in beyond:
-                judging[places] = True
+        for i, (record, e, (judging, beyond)) in enumerate(zip(records, more.residuals, judged, strict=True)):
             parts = [split(record, without_means(e, beyond), judging)]
             parts += [split(record, without_means(fit.residuals[i], beyond), judging) for fit in less]
             samples = max(len(parts[0][0]) // MEANS, 1) if slow else 1
@@ -89,6 +83,27 @@ def confirmed(
             weight *= gained / (gained + ignored) if either_way else 0.0
         share += part * weight * (sealed - known)
     return share
+
+
+def sealed_error_um2(records: Sequence[Record], final: Fit, noise_um2: float) -> float:
+    """Return the mean square of the sealed residual above that of the fitted one and the noise."""
+    judged = zip(records, final.residuals, judging_samples(records), strict=True)
+    e = np.concatenate([without_means(e, beyond)[judging] for _, e, (judging, beyond) in judged])
+    return max(mean_square(e) - max(final.train_rms**2, noise_um2), 0.0) if len(e) else 0.0
+
+
+def judging_samples(records: Sequence[Record]) -> list[tuple[np.ndarray, list[np.ndarray]]]:
+    """Return, for each recording, where its sealed samples count, (time,) of bool: within the fitted
+    voltages, or while one beyond them holds; and the places of each such hold."""
+    reached, found = [record.u[record.train] for record in records], []
+    lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
+    for record in records:
+        judging = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
+        beyond = held_at(record.u, record.held_out & ~judging)
+        for places in beyond:
+            judging[places] = True
+        found.append((judging, beyond))
+    return found
 
 
 def held_at(u: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
