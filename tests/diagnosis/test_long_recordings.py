@@ -114,9 +114,8 @@ def test_means_across_a_step_do_not_count_at_any_convention_of_timing(monkeypatc
     readings = Readings.of([one])
     assert [each.tolist() for each in readings.out] == [across]
     (record,) = readings.records()
-    assert not record.train[across].any() and record.train.sum() + record.held_out.sum() == 10_000 - len(
-        across
-    )
+    assert not record.train[across].any()
+    assert record.train.sum() + record.held_out.sum() == 10_000 - len(across)
     assert ("Means across a step of the voltage do not count." in readings.notes) == bool(across)
     assert [each.tolist() for each in readings.apart] == [[]]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from torchpi.diagnosis.long_recordings import shifted
 from torchpi.diagnosis.outside import Outside
-from torchpi.diagnosis.records import shifted
 from torchpi.diagnosis.remanence import COLUMNS, excursions, fading
 from torchpi.diagnosis.smooth_density import SMOOTH, roughness, terms
 from torchpi.operators.hysteresis_rows import (

@@ -92,11 +92,8 @@ def across_steps(u: np.ndarray, factor: int) -> np.ndarray:
     """Return the indices of the means over `factor` samples of a voltage, (time,), in which it moves far, or
     would if it came a sample earlier or later: a hysteresis is curved, so that the mean of its output is not
     its output at the mean."""
-    samples = len(u) // factor * factor
-    moved = [
-        np.ptp(u[np.clip(np.arange(samples) - late, 0, len(u) - 1)].reshape(-1, factor), axis=1)
-        for late in (-1, 0, 1)
-    ]
+    whole = len(u) // factor * factor
+    moved = [np.ptp(shifted(u, late)[:whole].reshape(-1, factor), axis=1) for late in (-1, 0, 1)]
     return np.flatnonzero(np.max(moved, axis=0) > FAST * np.ptp(u))
 
 
@@ -117,6 +114,15 @@ def means(x: np.ndarray, factor: int) -> np.ndarray:
     whole = len(x) // factor * factor
     found: np.ndarray = x[:whole].astype(np.float64).reshape(-1, factor).mean(1)
     return found
+
+
+def shifted(
+    x: np.ndarray,  # (time,)
+    samples: int,
+) -> np.ndarray:  # (time,)
+    """Return the signal shifted later by so many samples, or earlier if negative; its ends are held."""
+    places = np.arange(len(x)) - samples
+    return x[np.clip(places, 0, len(x) - 1)]
 
 
 def _of_means(recording: Recording, factor: int) -> Recording:

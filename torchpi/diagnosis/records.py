@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.coefficients import Coefficients
-from torchpi.diagnosis.long_recordings import means
+from torchpi.diagnosis.long_recordings import means, shifted
 from torchpi.diagnosis.monitored import monitor_noise, without_noise
 from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
@@ -168,15 +168,6 @@ def _early_and_late(x: np.ndarray, at_ticks: np.ndarray, ticks: int) -> dict[int
         ticks: Number of ticks in each mean.
     """
     return {0: x, **{late: means(shifted(at_ticks, late), ticks)[: len(x)] for late in (-1, 1)}}
-
-
-def shifted(
-    x: np.ndarray,  # (time,)
-    samples: int,
-) -> np.ndarray:  # (time,)
-    """Return the signal shifted later by so many samples, or earlier if negative; its ends are held."""
-    places = np.arange(len(x)) - samples
-    return x[np.clip(places, 0, len(x) - 1)]
 
 
 def _coefficients(
